@@ -1,0 +1,105 @@
+"""The agent's contract, and how one is spread over devices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from pecjax.agents.rollout import Episodes
+from pecjax.curriculum.sampler import tally
+
+AXIS = "devices"
+
+
+class TrainState(NamedTuple):
+    """Everything a training is made of; saving it is saving the run.
+
+    Attributes:
+        learner: parameters and optimiser, the agent's own.
+        sampler: the sampler's state.
+        fleet: the environments; the only part that is spread over devices.
+        key: of all randomness to come.
+    """
+
+    learner: Any
+    sampler: Any
+    fleet: Any
+    key: jax.Array
+
+
+class Metrics(NamedTuple):
+    """What one iteration did; "training" figures are over the sampler's own distribution.
+
+    Attributes:
+        counts: (2, N) int32, trials and failures of this iteration by configuration.
+        return_sum, length_sum: over the episodes that ended.
+        losses: the learner's own figures by name.
+    """
+
+    counts: jax.Array
+    return_sum: jax.Array
+    length_sum: jax.Array
+    losses: dict[str, jax.Array]
+
+
+class Agent(NamedTuple):
+    """A learner, a sampler and their environments as pure functions.
+
+    Attributes:
+        init: (key) -> TrainState.
+        iterate: (TrainState) -> (TrainState, Metrics), one iteration of the paper's Fig. 1
+            (lines 2-16).
+        policy: (TrainState.learner, greedy=False) -> act, where act(obs, key) -> action for a
+            single observation.
+        steps_per_iteration: environment steps of one iteration, over all environments.
+    """
+
+    init: Callable[[jax.Array], TrainState]
+    iterate: Callable[[TrainState], tuple[TrainState, Metrics]]
+    policy: Callable[..., Callable[[Any, jax.Array], jax.Array]]
+    steps_per_iteration: int
+
+
+def summarize(
+    episodes: Episodes, losses: dict[str, jax.Array], num_configs: int, axis_name: str | None
+) -> Metrics:
+    """Sums an iteration's endings over its steps, environments and devices."""
+    done = episodes.outcomes.done
+    sums = (jnp.sum(done * episodes.returns), jnp.sum(done * episodes.lengths))
+    if axis_name is not None:
+        sums = jax.lax.psum(sums, axis_name)
+    return Metrics(tally(episodes.outcomes, num_configs, axis_name), *sums, losses)
+
+
+def fleet_mesh(num_devices: int) -> Mesh:
+    """A mesh of the first `num_devices` devices along one axis, `AXIS`."""
+    return Mesh(np.array(jax.devices()[:num_devices]), (AXIS,))
+
+
+def shard(agent: Agent, mesh: Mesh) -> Agent:
+    """Spreads an agent's environments over the mesh.
+
+    The agent must have been made with `axis_name=AXIS`. What it draws and flies does not depend on
+    the number of devices, but for the rounding of sums.
+    """
+    specs = TrainState(PartitionSpec(), PartitionSpec(), PartitionSpec(AXIS), PartitionSpec())
+    placement = TrainState(*(NamedSharding(mesh, spec) for spec in specs))
+    # Without varying-axes checks the gradient of replicated parameters stays each device's own,
+    # and the learner takes the mean over devices itself.
+    iterate = jax.shard_map(
+        agent.iterate,
+        mesh=mesh,
+        in_specs=(specs,),
+        out_specs=(specs, PartitionSpec()),
+        check_vma=False,
+    )
+
+    def init(key: jax.Array) -> TrainState:
+        return TrainState(*map(jax.device_put, jax.jit(agent.init)(key), placement))
+
+    return agent._replace(init=init, iterate=iterate)

@@ -1,0 +1,41 @@
+"""Returns: what an action turned out to be worth."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+
+def generalized_advantage(
+    rewards: jax.Array,
+    values: jax.Array,
+    dones: jax.Array,
+    last_value: jax.Array,
+    discount: float,
+    gae_lambda: float,
+) -> jax.Array:
+    """Generalized advantage estimates (Schulman et al. 2016, Eq. 16), by the recursion
+
+        δ_t = r_t + γ (1 − d_t) V_{t+1} − V_t
+        A_t = δ_t + γ λ (1 − d_t) A_{t+1}
+
+    Every ending is terminal, the step limit too: it is a failure of the task and is paid for.
+
+    Args:
+        rewards, values, dones: (T, B); a done of 1 says that the episode ended in that step.
+        last_value: (B,), the value of the state after the last step.
+
+    Returns:
+        (T, B); add `values` for the value targets. Oracle:
+        `rlax.truncated_generalized_advantage_estimation`.
+    """
+    next_values = jnp.concatenate([values[1:], last_value[None]])
+    going_on = discount * (1 - dones)
+    deltas = rewards + going_on * next_values - values
+
+    def step(advantage: jax.Array, row: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        delta, carry_on = row
+        advantage = delta + gae_lambda * carry_on * advantage
+        return advantage, advantage
+
+    return jax.lax.scan(step, jnp.zeros_like(last_value), (deltas, going_on), reverse=True)[1]

@@ -1,0 +1,155 @@
+"""Rollout: where the loop closes: configurations are drawn, flown, scored and reported."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from brax.envs.base import State
+
+from pecjax.curriculum.sampler import Outcomes, Sampler
+from pecjax.world.coordinates import Configurations
+from pecjax.world.navigation import RoomsNavigation
+
+# (observations (B, …), keys (B,)) -> actions (B,) and whatever else the agent wants recorded
+Act = Callable[[Any, jax.Array], tuple[jax.Array, Any]]
+
+
+class Fleet(NamedTuple):
+    """The environments that an agent keeps running from batch to batch.
+
+    Attributes:
+        state: their Brax states, leading axis B.
+        config_id: (B,) int32, the configuration each running episode was reset with.
+        episode_return: (B,), rewards of the running episode so far.
+    """
+
+    state: State
+    config_id: jax.Array
+    episode_return: jax.Array
+
+
+class Trajectory(NamedTuple):
+    """What was seen and done, every leaf with leading axes (T, B).
+
+    Attributes:
+        obs: the observation before the action.
+        action, reward, done: as of `env.step`.
+        extras: what the policy reported with the action.
+    """
+
+    obs: Any
+    action: jax.Array
+    reward: jax.Array
+    done: jax.Array
+    extras: Any
+
+
+class Episodes(NamedTuple):
+    """The endings within a rollout, arrays (T, B) that count where `outcomes.done` is 1.
+
+    Attributes:
+        outcomes: what the sampler learns from.
+        returns: sum of rewards of the episode.
+        lengths: its number of actions.
+    """
+
+    outcomes: Outcomes
+    returns: jax.Array
+    lengths: jax.Array
+
+
+def env_keys(key: jax.Array, env_ids: jax.Array) -> jax.Array:
+    """One key per environment, by its global number, so that sharding does not change draws."""
+    return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, env_ids)
+
+
+def draw_episodes(
+    sampler: Sampler, sampler_state: Any, keys: jax.Array, num_draws: int
+) -> tuple[jax.Array, jax.Array]:
+    """Configuration numbers and headings (rad), (num_draws, B), for the episodes to come."""
+
+    def of_one(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        key_id, key_heading = jax.random.split(key)
+        headings = jax.random.uniform(key_heading, (num_draws,), minval=-jnp.pi, maxval=jnp.pi)
+        return sampler.sample(sampler_state, key_id, (num_draws,)), headings
+
+    return jax.vmap(of_one, out_axes=1)(keys)
+
+
+def _place(
+    env: RoomsNavigation, table: Configurations, config_id: jax.Array, heading: jax.Array
+) -> State:
+    rows = jax.tree.map(lambda leaf: jnp.asarray(leaf)[config_id], table)
+    return jax.vmap(env.place)(rows, heading)
+
+
+def launch(
+    env: RoomsNavigation,
+    table: Configurations,
+    sampler: Sampler,
+    sampler_state: Any,
+    key: jax.Array,
+    num_envs: int,
+) -> Fleet:
+    """Starts B environments in configurations drawn from the sampler."""
+    keys = env_keys(key, jnp.arange(num_envs))
+    ids, headings = draw_episodes(sampler, sampler_state, keys, 1)
+    state = jax.vmap(env.observe)(_place(env, table, ids[0], headings[0]))
+    return Fleet(state, ids[0], jnp.zeros(num_envs))
+
+
+def rollout(
+    env: RoomsNavigation,
+    table: Configurations,
+    sampler: Sampler,
+    sampler_state: Any,
+    act: Act,
+    fleet: Fleet,
+    key: jax.Array,
+    env_ids: jax.Array,
+    num_steps: int,
+) -> tuple[Fleet, Trajectory, Episodes]:
+    """Flies every environment for T steps (Jang & Choi 2022, Fig. 1, lines 2-10).
+
+    An episode that ends gives way at once to the next, drawn from the sampler as it stands at the
+    beginning of the batch; one that is still running is carried into the next batch. An outcome
+    is reported when its episode ends, for the configuration the episode was reset with.
+
+    Args:
+        env_ids: (B,), the environments' global numbers: all randomness is keyed by them.
+    """
+    key_draw, key_act = jax.random.split(key)
+    draws = draw_episodes(sampler, sampler_state, env_keys(key_draw, env_ids), num_steps)
+    act_keys = jax.vmap(lambda k: jax.random.split(k, num_steps), out_axes=1)(env_keys(key_act, env_ids))
+
+    def step(fleet: Fleet, row: tuple) -> tuple[Fleet, tuple[Trajectory, Episodes]]:
+        (next_id, next_heading), keys = row
+        action, extras = act(fleet.state.obs, keys)
+        flown = jax.vmap(env.advance)(fleet.state, action)
+        done = flown.done.astype(bool)
+        episode_return = fleet.episode_return + flown.reward
+        episodes = Episodes(
+            Outcomes(fleet.config_id, done, done & (flown.metrics["goal"] == 0)),
+            episode_return,
+            flown.info["step_count"],
+        )
+        trajectory = Trajectory(fleet.state.obs, action, flown.reward, flown.done, extras)
+
+        def where_done(new: jax.Array, old: jax.Array) -> jax.Array:
+            return jnp.where(done.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+
+        # The old observation is of no more use; one depth image a step is cast, of what stands now.
+        fresh = _place(env, table, next_id, next_heading)
+        state = jax.tree.map(where_done, fresh, flown.replace(obs={}))
+        fleet = Fleet(
+            state=jax.vmap(env.observe)(state),
+            config_id=where_done(next_id, fleet.config_id),
+            episode_return=where_done(jnp.zeros_like(episode_return), episode_return),
+        )
+        return fleet, (trajectory, episodes)
+
+    fleet, (trajectory, episodes) = jax.lax.scan(step, fleet, (draws, act_keys))
+    return fleet, trajectory, episodes

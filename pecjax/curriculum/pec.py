@@ -1,0 +1,66 @@
+"""PEC: prioritized environment configuration (Jang & Choi 2022, Eq. 1-2 and Fig. 1)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pecjax.curriculum.sampler import Outcomes, Sampler, choose, tally
+from pecjax.errors import InputError
+
+
+class PECState(NamedTuple):
+    """Attributes:
+    counts: (2, N) int32, trials and failures over the whole training.
+    alpha: () float32, kept here so that a study over α is a `vmap`.
+    """
+
+    counts: jax.Array
+    alpha: jax.Array
+
+
+def pec(num_configs: int, alpha: float | jax.Array = 0.2) -> Sampler:
+    """Draws each configuration with probability proportional to its failure ratio plus α.
+
+        p_n = f_n / t_n + α   if t_n > 0, else 1        (Eq. 1)
+        P_n = p_n / Σ p                                 (Eq. 2)
+
+    Where every priority is 0 (α = 0 and nothing fails any more) it draws uniformly.
+
+    Example:
+        sampler = pec(num_configs=20, alpha=0.2)
+        state = sampler.init()
+        ids = sampler.sample(state, jax.random.key(0), shape=(512,))
+        state = sampler.update(state, Outcomes(ids, done, failed))
+
+    Args:
+        num_configs: N, at least 1.
+        alpha: α ≥ 0, how little the failure ratio counts; a scalar, and under `vmap` an array.
+
+    Raises:
+        InputError: fewer than one configuration, or α negative, NaN or infinite.
+    """
+    if num_configs < 1:
+        raise InputError(f"num_configs is {num_configs}; a sampler needs at least 1 configuration")
+    if not isinstance(alpha, jax.core.Tracer) and not np.all(np.isfinite(alpha) & (np.asarray(alpha) >= 0)):
+        raise InputError(f"alpha is {alpha}; it must be a finite number of 0 or more")
+
+    def init() -> PECState:
+        return PECState(jnp.zeros((2, num_configs), jnp.int32), jnp.asarray(alpha, jnp.float32))
+
+    def probabilities(state: PECState) -> jax.Array:
+        trials, failures = state.counts
+        priority = jnp.where(trials > 0, failures / jnp.maximum(trials, 1) + state.alpha, 1.0)
+        total = priority.sum()
+        return jnp.where(total > 0, priority / jnp.where(total > 0, total, 1.0), 1 / num_configs)
+
+    def sample(state: PECState, key: jax.Array, shape: tuple[int, ...] = ()) -> jax.Array:
+        return choose(probabilities(state), key, shape)
+
+    def update(state: PECState, outcomes: Outcomes, axis_name: str | None = None) -> PECState:
+        return state._replace(counts=state.counts + tally(outcomes, num_configs, axis_name))
+
+    return Sampler(init, probabilities, sample, update)

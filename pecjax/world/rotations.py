@@ -1,0 +1,28 @@
+"""Rotations: unit quaternions (w-x-y-z, as in MuJoCo) and what they stand for."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+
+def quaternion_to_matrix(quaternion: jax.Array) -> jax.Array:
+    """The rotation matrix (3, 3) of a unit quaternion (4,): columns are the turned axes."""
+    w, x, y, z = quaternion
+    return jnp.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
+def heading_to_quaternion(heading: jax.Array) -> jax.Array:
+    """The quaternion (4,) of a level body that looks along `heading` (rad, from +x towards +y)."""
+    zero = jnp.zeros_like(heading)
+    return jnp.stack([jnp.cos(heading / 2), zero, zero, jnp.sin(heading / 2)])
+
+
+def heading(quaternion: jax.Array) -> jax.Array:
+    """The direction (rad, in [-π, π]) of the body's x axis seen from above."""
+    w, x, y, z = quaternion
+    return jnp.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
