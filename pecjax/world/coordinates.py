@@ -164,6 +164,6 @@ def free_rooms(scene: Scene, flight_height: float) -> tuple[np.ndarray, np.ndarr
     upper = scene.wall_upper[:, :2].max(axis=0)
     xs = np.arange(lower[0], upper[0] + CELL, CELL)
     ys = np.arange(lower[1], upper[1] + CELL, CELL)
-    points = jnp.stack(jnp.meshgrid(xs, ys, flight_height, indexing="ij"), axis=-1)[:, :, 0]
+    points = jnp.stack(jnp.meshgrid(xs, ys, jnp.array([flight_height]), indexing="ij"), axis=-1)[:, :, 0]
     labels, _ = ndimage.label(np.asarray(wall_distance(scene, points)) >= scene.drone_radius)
     return np.asarray(labels), np.array([xs[0], ys[0]])

@@ -93,7 +93,9 @@ def default_scene_path() -> Path:
     return shipped if shipped.exists() else package.parent / "assets" / "rooms.xml"
 
 
-def load_scene(path: str | Path | None = None) -> Scene:
+def load_scene(
+    path: str | Path | None = None, resolution: tuple[int, int] | None = None
+) -> Scene:
     """Reads a map and its drone from an MJCF file.
 
     The file must hold one body named `drone` with a free joint, a collision sphere, a camera and
@@ -102,6 +104,7 @@ def load_scene(path: str | Path | None = None) -> Scene:
 
     Args:
         path: the MJCF file; the six rooms of the paper when None.
+        resolution: (width, height) in pixels of the depth image, instead of the file's.
 
     Raises:
         InputError: the file is missing, is not MJCF, or lacks one of the above.
@@ -119,6 +122,8 @@ def load_scene(path: str | Path | None = None) -> Scene:
     model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     model.opt.disableflags |= _DISABLED
+    if resolution is not None:
+        model.cam_resolution[:] = resolution
     wall_lower, wall_upper, wall_names = _walls(path, model)
     return Scene(
         model=model,

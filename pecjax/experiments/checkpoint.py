@@ -1,0 +1,57 @@
+"""Checkpoints: a whole TrainState on disk, by iteration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import orbax.checkpoint as ocp
+
+from pecjax.agents.agent import TrainState
+from pecjax.errors import InputError
+
+
+class Checkpoints:
+    """The checkpoints of one run folder; the only place that knows Orbax.
+
+    The learner is stored beside the rest, so that a policy can be had without its environments.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Opens `folder`/checkpoints, which is made with the first checkpoint."""
+        self._folder = (folder / "checkpoints").absolute()
+        self._manager = ocp.CheckpointManager(
+            self._folder, options=ocp.CheckpointManagerOptions(enable_async_checkpointing=False)
+        )
+
+    def save(self, iteration: int, state: TrainState) -> None:
+        """Writes the state after `iteration` iterations."""
+        rest = state._replace(learner=None, key=jax.random.key_data(state.key))
+        items = ocp.args.Composite(
+            learner=ocp.args.StandardSave(state.learner), rest=ocp.args.StandardSave(rest._asdict())
+        )
+        self._manager.save(iteration, args=items)
+
+    def iterations(self) -> list[int]:
+        """The iterations at which a checkpoint was saved, rising."""
+        return sorted(self._manager.all_steps())
+
+    def load_learner(self, like: Any, iteration: int | None = None) -> tuple[int, Any]:
+        """The learner's part of a checkpoint, the newest when `iteration` is None.
+
+        Args:
+            like: a learner of the same structure, of arrays or their shapes.
+
+        Raises:
+            InputError: there is no such checkpoint.
+        """
+        there = self.iterations()
+        if not there:
+            raise InputError(f"{self._folder}: no checkpoint; train first")
+        if iteration is not None and iteration not in there:
+            listed = ", ".join(map(str, there))
+            raise InputError(f"{self._folder}: no checkpoint {iteration}; there are {listed}")
+        iteration = there[-1] if iteration is None else iteration
+        items = ocp.args.Composite(learner=ocp.args.StandardRestore(like))
+        return iteration, self._manager.restore(iteration, args=items)["learner"]

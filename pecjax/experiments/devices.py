@@ -1,0 +1,43 @@
+"""Devices: how many there are to share the work, and where compiled programs are kept."""
+
+from __future__ import annotations
+
+import os
+
+import jax
+import platformdirs
+
+from pecjax.errors import InputError
+
+
+def use_all_cores() -> None:
+    """Makes every core that this process may use a device of its own on JAX's CPU back-end.
+
+    Call it before JAX is first used (in a notebook: in the first cell); an accelerator, where
+    there is one, is used as ever.
+    """
+    jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+
+
+def keep_compiled_programs() -> str:
+    """Turns on JAX's persistent compilation cache in the user's cache folder; returns the folder."""
+    folder = os.path.join(platformdirs.user_cache_dir("pecjax"), "compiled")
+    jax.config.update("jax_compilation_cache_dir", folder)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    return folder
+
+
+def choose_num_devices(wanted: int | None, num_envs: int) -> int:
+    """How many devices share `num_envs` environments: as wanted, or as many as divide them.
+
+    Raises:
+        InputError: fewer than 1 wanted, more than there are, or a number that does not divide.
+    """
+    available = len(jax.devices())
+    if wanted is None:
+        return max(d for d in range(1, available + 1) if num_envs % d == 0)
+    if not 1 <= wanted <= available:
+        raise InputError(f"devices is {wanted}; this machine has {available}, give 1 to {available}")
+    if num_envs % wanted:
+        raise InputError(f"{num_envs} environments cannot be shared evenly by {wanted} devices; change either")
+    return wanted

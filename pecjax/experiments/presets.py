@@ -1,0 +1,134 @@
+"""Presets: the settings of a run, by name, and their checks."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from pecjax import curriculum
+from pecjax.agents.networks import NetworkSettings
+from pecjax.agents.ppo import PPOSettings
+from pecjax.curriculum import Sampler
+from pecjax.errors import InputError
+
+SAMPLERS: dict[str, Callable[[int, float], Sampler]] = {
+    "pec": lambda num_configs, alpha: curriculum.pec(num_configs, alpha),
+    "uniform": lambda num_configs, alpha: curriculum.uniform(num_configs),
+}
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """Everything that a run depends on, but for the map and the coordinates themselves.
+
+    Attributes:
+        preset: the name these settings began from.
+        algorithm: the learner.
+        ppo: its settings.
+        resolution: (width, height) of the depth image, None for what the scene's camera says.
+        sampler: a name in `SAMPLERS`.
+        alpha: α of PEC.
+        coordinates: the paper's set 1 or 2, or a file.
+        scene: an MJCF file, None for the six rooms.
+        seed: of everything random in training.
+        iterations: how many to train for.
+        evaluate_every: iterations between evaluations, each saved as a checkpoint.
+        evaluation_episodes: episodes of each, spread evenly over the configurations.
+        evaluation_seed: of the evaluations, the same for all runs, so that they are paired.
+        greedy: whether evaluations take the likeliest action; else they draw, as training does.
+        configurations_every: iterations between rows of configurations.csv.
+    """
+
+    preset: str = "fast"
+    algorithm: str = "ppo"
+    ppo: PPOSettings = field(default_factory=PPOSettings)
+    resolution: tuple[int, int] | None = None
+    sampler: str = "pec"
+    alpha: float = 0.2
+    coordinates: str = "1"
+    scene: str | None = None
+    seed: int = 0
+    iterations: int = 457
+    evaluate_every: int = 50
+    evaluation_episodes: int = 200
+    evaluation_seed: int = 2022
+    greedy: bool = True
+    configurations_every: int = 10
+
+
+# Every setting that Jang & Choi (2022, §5.2) name, and RLlib 0.8.5's defaults for the rest.
+_RLLIB_085 = PPOSettings(
+    num_envs=40,
+    num_steps=125,
+    num_epochs=30,
+    num_minibatches=39,
+    shuffle="samples",
+    learning_rate=5e-5,
+    adam_eps=1e-8,
+    max_grad_norm=None,
+    discount=0.99,
+    gae_lambda=0.95,
+    clip=0.2,
+    value_clip=10.0,
+    value_coeff=1.0,
+    entropy_coeff=0.0,
+    kl_coeff=1.0,
+    kl_target=0.01,
+    reward_scale=1.0,
+    network=NetworkSettings(hidden=(256, 256), initializer="normc"),
+)
+
+PRESETS: dict[str, RunSettings] = {
+    "fast": RunSettings(),
+    "rllib085": RunSettings(
+        preset="rllib085", ppo=_RLLIB_085, iterations=1500, evaluate_every=100, evaluation_episodes=50
+    ),
+    "image": RunSettings(
+        preset="image",
+        ppo=PPOSettings(network=NetworkSettings(encoder="cnn", hidden=(128,))),
+        resolution=(64, 48),
+    ),
+}
+
+
+def find_preset(name: str) -> RunSettings:
+    """The preset of that name.
+
+    Raises:
+        InputError: there is none.
+    """
+    if name not in PRESETS:
+        raise InputError(f"unknown preset '{name}'; choose one of {', '.join(PRESETS)}")
+    return PRESETS[name]
+
+
+def check_settings(settings: RunSettings) -> None:
+    """Makes sure that the settings can be run with; the samplers check α themselves.
+
+    Raises:
+        InputError: the first setting that cannot.
+    """
+    if settings.algorithm != "ppo":
+        raise InputError(f"unknown algorithm '{settings.algorithm}'; choose ppo")
+    if settings.sampler not in SAMPLERS:
+        raise InputError(f"unknown sampler '{settings.sampler}'; choose one of {', '.join(SAMPLERS)}")
+    SAMPLERS[settings.sampler](1, settings.alpha)
+    counts = {
+        "iterations": settings.iterations,
+        "num-envs": settings.ppo.num_envs,
+        "evaluate-every": settings.evaluate_every,
+        "evaluation-episodes": settings.evaluation_episodes,
+    }
+    for name, value in counts.items():
+        if value < 1:
+            raise InputError(f"{name} is {value}; it must be at least 1")
+    if not 0 <= settings.seed < 2**31:
+        raise InputError(f"seed is {settings.seed}; it must lie in 0 to 2147483647")
+
+
+def override(settings: RunSettings, num_envs: int | None = None, **changes: object) -> RunSettings:
+    """The settings with every change that is not None."""
+    if num_envs is not None:
+        settings = dataclasses.replace(settings, ppo=dataclasses.replace(settings.ppo, num_envs=num_envs))
+    return dataclasses.replace(settings, **{k: v for k, v in changes.items() if v is not None})
