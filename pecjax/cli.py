@@ -178,12 +178,13 @@ class Check:
         """Checks, then draws."""
         scene = load_scene(self.scene)
         table = load_coordinates(self.coordinates)
-        task = NavigationSettings()
-        check_coordinates(scene, table, flight_height=task.flight_height, goal_radius=task.goal_radius)
+        check_coordinates(scene, table, flight_height=NavigationSettings().flight_height)
         try:
             paths = figures.save(figures.rooms(scene, table), self.out.with_suffix(""))
         except OSError as error:
-            raise InputError(f"{self.out}: cannot be written ({error.strerror}); choose another --out") from error
+            raise InputError(
+                f"{self.out}: cannot be written ({error.strerror}); choose another --out"
+            ) from error
         print(
             f"{len(scene.wall_names)} walls, {table.size} configurations: every one can be flown by a "
             f"drone of radius {scene.drone_radius:g} m; drawn to {' and '.join(map(str, paths))}"

@@ -29,7 +29,7 @@ class TrainState(NamedTuple):
     learner: Any
     sampler: Any
     fleet: Any
-    key: jax.Array
+    key: Any
 
 
 class Metrics(NamedTuple):
@@ -70,10 +70,10 @@ def summarize(
 ) -> Metrics:
     """Sums an iteration's endings over its steps, environments and devices."""
     done = episodes.outcomes.done
-    sums = (jnp.sum(done * episodes.returns), jnp.sum(done * episodes.lengths))
+    return_sum, length_sum = jnp.sum(done * episodes.returns), jnp.sum(done * episodes.lengths)
     if axis_name is not None:
-        sums = jax.lax.psum(sums, axis_name)
-    return Metrics(tally(episodes.outcomes, num_configs, axis_name), *sums, losses)
+        return_sum, length_sum = jax.lax.psum((return_sum, length_sum), axis_name)
+    return Metrics(tally(episodes.outcomes, num_configs, axis_name), return_sum, length_sum, losses)
 
 
 def fleet_mesh(num_devices: int) -> Mesh:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, cast
 
 import flax.linen as nn
 import jax
@@ -94,8 +94,14 @@ class ActorCritic(nn.Module):
 
     @nn.compact
     def __call__(self, obs: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        """See `forward`, which is this with the parameters given."""
         image, goal = encode(obs, self.far)
         critic_gain = 0.01 if self.settings.initializer == "normc" else 1.0
         logits = _Tower(self.settings, self.num_actions, 0.01, name="actor")(image, goal)
         value = _Tower(self.settings, 1, critic_gain, name="critic")(image, goal)
         return logits, value[..., 0]
+
+
+def forward(network: ActorCritic, params: Any, obs: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
+    """Action logits (…, A) and values (…,) under the given parameters."""
+    return cast(tuple[jax.Array, jax.Array], network.apply(params, obs))

@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import optax
 
 from pecjax.agents.agent import Agent, Metrics, TrainState, summarize
-from pecjax.agents.networks import ActorCritic, NetworkSettings
+from pecjax.agents.networks import ActorCritic, NetworkSettings, forward
 from pecjax.agents.returns import generalized_advantage
 from pecjax.agents.rollout import Trajectory, launch, rollout
 from pecjax.curriculum.sampler import Sampler
 from pecjax.errors import InputError
 from pecjax.world.coordinates import Configurations
-from pecjax.world.navigation import RoomsNavigation
+from pecjax.world.navigation import RoomsNavigation, observation
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def make(
         key, key_rollout, key_update = jax.random.split(state.key, 3)
 
         def act(obs: Any, keys: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-            logits, value = network.apply(learner.params, obs)
+            logits, value = forward(network, learner.params, obs)
             return jax.vmap(jax.random.categorical)(keys, logits), (logits, value)
 
         num_local = state.fleet.config_id.shape[0]
@@ -135,7 +135,7 @@ def make(
             first + jnp.arange(num_local),
             settings.num_steps,
         )
-        _, last_value = network.apply(learner.params, fleet.state.obs)
+        _, last_value = forward(network, learner.params, observation(fleet.state))
         batch = prepare(settings, trajectory, last_value, axis_name)
         learner, losses = update(network, optimizer, settings, learner, batch, key_update, axis_name)
         sampler_state = sampler.update(state.sampler, episodes.outcomes, axis_name)
@@ -144,7 +144,7 @@ def make(
 
     def policy(learner: Learner, greedy: bool = False):
         def act(obs: Any, key: jax.Array) -> jax.Array:
-            logits, _ = network.apply(learner.params, obs)
+            logits, _ = forward(network, learner.params, obs)
             return jnp.argmax(logits) if greedy else jax.random.categorical(key, logits)
 
         return act
@@ -175,14 +175,16 @@ def prepare(
 def loss(
     network: ActorCritic, settings: PPOSettings, params: Any, batch: Batch, kl_coeff: jax.Array
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """The mean over a minibatch of
+    """The loss and its terms by name, as in RLlib 0.8.5 (`agents/ppo/ppo_tf_policy.py`).
+
+    It is the mean over a minibatch of
 
         −min(ρ A, clip(ρ, 1 ± ε) A) + k KL(old ‖ new) + c_v E_V − c_e H,
         E_V = max((V − R)², (V_old + clip(V − V_old, ± value_clip) − R)²)
 
-    as in RLlib 0.8.5 (`agents/ppo/ppo_tf_policy.py`, no ½ before E_V), and its terms by name.
+    with no ½ before E_V.
     """
-    logits, value = network.apply(params, batch.obs)
+    logits, value = forward(network, params, batch.obs)
     new, old = jax.nn.log_softmax(logits), jax.nn.log_softmax(batch.logits)
 
     def of_action(log_probs: jax.Array) -> jax.Array:

@@ -14,7 +14,7 @@ def generalized_advantage(
     discount: float,
     gae_lambda: float,
 ) -> jax.Array:
-    """Generalized advantage estimates (Schulman et al. 2016, Eq. 16), by the recursion
+    """Generalized advantage estimates (Schulman et al. 2016, Eq. 16).
 
         δ_t = r_t + γ (1 − d_t) V_{t+1} − V_t
         A_t = δ_t + γ λ (1 − d_t) A_{t+1}

@@ -79,9 +79,7 @@ def draw_episodes(
     return jax.vmap(of_one, out_axes=1)(keys)
 
 
-def _place(
-    env: RoomsNavigation, table: Configurations, config_id: jax.Array, heading: jax.Array
-) -> State:
+def _place(env: RoomsNavigation, table: Configurations, config_id: jax.Array, heading: jax.Array) -> State:
     rows = jax.tree.map(lambda leaf: jnp.asarray(leaf)[config_id], table)
     return jax.vmap(env.place)(rows, heading)
 

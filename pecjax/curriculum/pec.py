@@ -13,9 +13,11 @@ from pecjax.errors import InputError
 
 
 class PECState(NamedTuple):
-    """Attributes:
-    counts: (2, N) int32, trials and failures over the whole training.
-    alpha: () float32, kept here so that a study over α is a `vmap`.
+    """All that PEC remembers.
+
+    Attributes:
+        counts: (2, N) int32, trials and failures over the whole training.
+        alpha: () float32, kept here so that a study over α is a `vmap`.
     """
 
     counts: jax.Array
@@ -52,7 +54,7 @@ def pec(num_configs: int, alpha: float | jax.Array = 0.2) -> Sampler:
         return PECState(jnp.zeros((2, num_configs), jnp.int32), jnp.asarray(alpha, jnp.float32))
 
     def probabilities(state: PECState) -> jax.Array:
-        trials, failures = state.counts
+        trials, failures = state.counts[0], state.counts[1]
         priority = jnp.where(trials > 0, failures / jnp.maximum(trials, 1) + state.alpha, 1.0)
         total = priority.sum()
         return jnp.where(total > 0, priority / jnp.where(total > 0, total, 1.0), 1 / num_configs)

@@ -24,6 +24,10 @@ def keep_compiled_programs() -> str:
     folder = os.path.join(platformdirs.user_cache_dir("pecjax"), "compiled")
     jax.config.update("jax_compilation_cache_dir", folder)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    if jax.config.jax_logging_level in (None, "NOTSET"):
+        # XLA warns of every program it loads that LLVM's tuning hints are no features of this
+        # machine, in lines of 3,000 characters (jax issue 38445); the programs run all the same.
+        jax.config.update("jax_logging_level", "CRITICAL")
     return folder
 
 
@@ -39,5 +43,7 @@ def choose_num_devices(wanted: int | None, num_envs: int) -> int:
     if not 1 <= wanted <= available:
         raise InputError(f"devices is {wanted}; this machine has {available}, give 1 to {available}")
     if num_envs % wanted:
-        raise InputError(f"{num_envs} environments cannot be shared evenly by {wanted} devices; change either")
+        raise InputError(
+            f"{num_envs} environments cannot be shared evenly by {wanted} devices; change either"
+        )
     return wanted

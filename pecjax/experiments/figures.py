@@ -168,7 +168,11 @@ def rooms(scene: Scene, table: Configurations, trajectories: pd.DataFrame | None
         for _, path in trajectories.groupby("episode"):
             reached = path.goal.iloc[0] == 1
             axes.plot(
-                path.x, path.y, color=PATH if reached else FAILURES, linewidth=0.9, alpha=0.7 if reached else 1
+                path.x,
+                path.y,
+                color=PATH if reached else FAILURES,
+                linewidth=0.9,
+                alpha=0.7 if reached else 1,
             )
             if not reached:
                 axes.plot(path.x.iloc[-1], path.y.iloc[-1], "x", color=FAILURES)
@@ -186,10 +190,10 @@ def rooms(scene: Scene, table: Configurations, trajectories: pd.DataFrame | None
 
 def _pairs(axes: Axes, table: Configurations) -> None:
     """Marks every place once and names the configurations that start there."""
-    starts: dict[tuple[float, ...], list[int]] = {}
+    starts: dict[tuple[float, float], list[int]] = {}
     for row, (start, goal) in enumerate(zip(np.asarray(table.start), np.asarray(table.goal), strict=True)):
-        starts.setdefault(tuple(start.tolist()), []).append(row)
-        starts.setdefault(tuple(goal.tolist()), [])
+        starts.setdefault((float(start[0]), float(start[1])), []).append(row)
+        starts.setdefault((float(goal[0]), float(goal[1])), [])
         axes.plot(*np.stack([start, goal]).T, color="0.6", linewidth=0.6, linestyle=":", zorder=1)
     for place, rows in starts.items():
         axes.plot(*place, "o", color=GOAL, markersize=5)

@@ -40,8 +40,9 @@ class RunProgress:
         """Prints a line above the bar."""
         self._console.print(line, markup=False)
 
-    def advance(self, iteration: int, goal_ratio: float, steps_per_second: float, left: float) -> None:
-        """Shows that `iteration` iterations are done, with `left` seconds to go."""
+    def advance(self, iteration: int, goal_ratio: float, steps_per_second: float, seconds: float) -> None:
+        """Shows that `iteration` iterations are done, in so many seconds."""
+        left = seconds / iteration * (self._iterations - iteration)
         figures = f"training goal ratio {goal_ratio:.3f}, {steps_per_second:,.0f} steps/s"
         self._bar.start()
         self._bar.update(self._task, completed=iteration, figures=figures)

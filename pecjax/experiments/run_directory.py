@@ -31,7 +31,11 @@ def environment_facts(num_devices: int) -> dict[str, Any]:
         "versions": {name: importlib.metadata.version(name) for name in _PACKAGES}
         | {"python": platform.python_version()},
         "machine": {"system": platform.platform(), "cores": os.cpu_count(), "processor": _processor()},
-        "devices": {"kind": jax.devices()[0].device_kind, "used": num_devices, "available": len(jax.devices())},
+        "devices": {
+            "kind": jax.devices()[0].device_kind,
+            "used": num_devices,
+            "available": len(jax.devices()),
+        },
         "git_commit": _git_commit(),
     }
 
@@ -78,7 +82,9 @@ class RunDirectory:
         self.folder = folder
         self.scene_path = folder / "scene.xml"
 
-    def create(self, settings: RunSettings, scene_path: Path, table: Configurations, num_devices: int) -> None:
+    def create(
+        self, settings: RunSettings, scene_path: Path, table: Configurations, num_devices: int
+    ) -> None:
         """Writes what the run depends on: settings, map and coordinates."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -86,11 +92,15 @@ class RunDirectory:
             # One file, whatever the map includes; the run itself flies in this copy.
             self.scene_path.write_text(mujoco.MjSpec.from_file(str(scene_path)).to_xml())
             rows = np.hstack([table.start, table.goal])
-            np.savetxt(self.folder / "coordinates.csv", rows, "%.9g", ",", header="start_x,start_y,goal_x,goal_y")
+            np.savetxt(
+                self.folder / "coordinates.csv", rows, "%.9g", ",", header="start_x,start_y,goal_x,goal_y"
+            )
             config = {"settings": dataclasses.asdict(settings)} | environment_facts(num_devices)
             self.write_json("config.json", config)
         except OSError as error:
-            raise InputError(f"{self.folder}: cannot be written ({error.strerror}); choose another --out") from error
+            raise InputError(
+                f"{self.folder}: cannot be written ({error.strerror}); choose another --out"
+            ) from error
 
     def settings(self) -> RunSettings:
         """Reads the settings back.
@@ -104,7 +114,9 @@ class RunDirectory:
         try:
             return cattrs.structure(json.loads(path.read_text())["settings"], RunSettings)
         except (ValueError, KeyError, TypeError, cattrs.BaseValidationError) as error:
-            raise InputError(f"{path}: cannot be read as a run's settings ({error}); give another run") from error
+            raise InputError(
+                f"{path}: cannot be read as a run's settings ({error}); give another run"
+            ) from error
 
     def table(self) -> Configurations:
         """Reads the configurations back."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -115,55 +115,65 @@ def _row(path: Path, number: int, line: str) -> list[float]:
     return row
 
 
-def check_coordinates(
-    scene: Scene, table: Configurations, *, flight_height: float, goal_radius: float
-) -> None:
+def check_coordinates(scene: Scene, table: Configurations, *, flight_height: float) -> None:
     """Makes sure that every configuration can be flown.
 
     Start and goal must lie inside the map and clear of its walls by the drone's radius, differ,
     and be joined by a path that the drone's sphere fits through at its flight height.
 
     Raises:
-        InputError: the first row that cannot be flown, with the point at fault.
+        InputError: a row that cannot be flown, with the point at fault.
     """
-    rooms, origin = free_rooms(scene, flight_height)
-    for row, (start, goal) in enumerate(zip(np.asarray(table.start), np.asarray(table.goal), strict=True)):
-        for role, point in (("start", start), ("goal", goal)):
-            where = f"configuration {row}: {role} ({point[0]:g}, {point[1]:g})"
-            outside = np.any(point < scene.wall_lower[:, :2].min(axis=0)) or np.any(
-                point > scene.wall_upper[:, :2].max(axis=0)
-            )
-            if outside:
-                raise InputError(f"{where} lies outside the map; move it inside")
-            gap = float(wall_distance(scene, jnp.append(point, flight_height)))
-            if gap < scene.drone_radius:
-                place = "inside a wall" if gap == 0 else f"{gap:.2f} m from a wall"
-                raise InputError(
-                    f"{where} lies {place}; keep {scene.drone_radius:g} m, the drone's radius, away"
-                )
-        if np.array_equal(start, goal):
-            raise InputError(f"configuration {row}: start and goal are both ({start[0]:g}, {start[1]:g})")
-        cells = np.indices(rooms.shape).transpose(1, 2, 0) * CELL + origin
-        near_goal = np.linalg.norm(cells - goal, axis=-1) < goal_radius
-        near_start = np.linalg.norm(cells - start, axis=-1) < 2 * CELL
-        if not np.intersect1d(rooms[near_start & (rooms > 0)], rooms[near_goal]).size:
+    start, goal = np.asarray(table.start), np.asarray(table.goal)
+    for role, points in (("start", start), ("goal", goal)):
+        low, high = scene.wall_lower[:, :2].min(axis=0), scene.wall_upper[:, :2].max(axis=0)
+        for row in _first(np.any((points < low) | (points > high), axis=1)):
+            raise InputError(f"configuration {row}: {role} {_at(points[row])} lies outside the map; move it")
+        heights = np.full((len(points), 1), flight_height, points.dtype)
+        gaps = np.asarray(wall_distance(scene, jnp.asarray(np.hstack([points, heights]))))
+        for row in _first(gaps < scene.drone_radius):
+            where = "inside a wall" if gaps[row] == 0 else f"{gaps[row]:.2f} m from a wall"
             raise InputError(
-                f"configuration {row}: no path of {2 * scene.drone_radius:g} m width leads from "
-                f"({start[0]:g}, {start[1]:g}) to ({goal[0]:g}, {goal[1]:g}); widen a door or move a point"
+                f"configuration {row}: {role} {_at(points[row])} lies {where}; keep it "
+                f"{scene.drone_radius:g} m, the drone's radius, away"
             )
+    for row in _first(np.all(start == goal, axis=1)):
+        raise InputError(f"configuration {row}: start and goal are both {_at(start[row])}; move one")
+    regions, origin = free_regions(scene, flight_height)
+    from_start, from_goal = (_regions_at(regions, origin, points) for points in (start, goal))
+    meet = (from_start[:, :, None] == from_goal[:, None, :]) & (from_start[:, :, None] > 0)
+    for row in _first(~meet.any(axis=(1, 2))):
+        raise InputError(
+            f"configuration {row}: no path of {2 * scene.drone_radius:g} m width leads from "
+            f"{_at(start[row])} to {_at(goal[row])}; widen a door or move a point"
+        )
 
 
-def free_rooms(scene: Scene, flight_height: float) -> tuple[np.ndarray, np.ndarray]:
+def _first(wrong: np.ndarray) -> list[int]:
+    return [int(wrong.argmax())] if wrong.any() else []
+
+
+def _at(point: np.ndarray) -> str:
+    return f"({point[0]:g}, {point[1]:g})"
+
+
+def free_regions(scene: Scene, flight_height: float) -> tuple[np.ndarray, np.ndarray]:
     """Labels the places that the drone's centre may take, one number per connected region.
 
     Returns:
         (X, Y) int labels, 0 where the drone does not fit, and (2,) m, the place of cell (0, 0);
         cells are `CELL` metres apart.
     """
-    lower = scene.wall_lower[:, :2].min(axis=0)
-    upper = scene.wall_upper[:, :2].max(axis=0)
-    xs = np.arange(lower[0], upper[0] + CELL, CELL)
-    ys = np.arange(lower[1], upper[1] + CELL, CELL)
-    points = jnp.stack(jnp.meshgrid(xs, ys, jnp.array([flight_height]), indexing="ij"), axis=-1)[:, :, 0]
-    labels, _ = ndimage.label(np.asarray(wall_distance(scene, points)) >= scene.drone_radius)
-    return np.asarray(labels), np.array([xs[0], ys[0]])
+    low, high = scene.wall_lower[:, :2].min(axis=0), scene.wall_upper[:, :2].max(axis=0)
+    xs, ys = (np.arange(low[axis], high[axis] + CELL, CELL) for axis in range(2))
+    points = np.stack(np.meshgrid(xs, ys, [flight_height], indexing="ij"), axis=-1)[:, :, 0]
+    distance = np.asarray(wall_distance(scene, jnp.asarray(points, jnp.float32)))
+    return cast(Any, ndimage.label(distance >= scene.drone_radius))[0], np.array([xs[0], ys[0]])
+
+
+def _regions_at(regions: np.ndarray, origin: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Labels (N, 9) of the cells around each point, since a point may lie beside its own cell."""
+    cells = np.round((points - origin) / CELL).astype(int)
+    around = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(9, 2)
+    cells = np.clip(cells[:, None] + around, 0, np.array(regions.shape) - 1)
+    return regions[cells[..., 0], cells[..., 1]]

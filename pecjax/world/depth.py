@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from functools import reduce
 
-
-
 import jax
 import jax.numpy as jnp
 import numpy as np

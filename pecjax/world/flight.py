@@ -81,9 +81,7 @@ def hover(position: jax.Array, heading: jax.Array) -> DroneState:
     )
 
 
-def rotor_controls(
-    scene: Scene, gains: ControllerGains, state: DroneState, command: Command
-) -> jax.Array:
+def rotor_controls(scene: Scene, gains: ControllerGains, state: DroneState, command: Command) -> jax.Array:
     """Rotor controls (U,) that steer the drone towards the command, within their limits."""
     rotation = quaternion_to_matrix(state.qpos[3:])
     velocity, rates = state.qvel[:3], state.qvel[3:]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -47,6 +48,16 @@ class NavigationSettings:
     standing_reward: float = -3.0
     standing_limit: int = 10
     gains: ControllerGains = ControllerGains()
+
+
+def drone_state(state: State) -> DroneState:
+    """The drone within a Brax state."""
+    return cast(DroneState, state.pipeline_state)
+
+
+def observation(state: State) -> dict[str, jax.Array]:
+    """The observation within a Brax state."""
+    return cast(dict[str, jax.Array], state.obs)
 
 
 class RoomsNavigation(Env):
@@ -99,7 +110,7 @@ class RoomsNavigation(Env):
         height = jnp.full(1, self.settings.flight_height)
         zero = jnp.zeros(())
         return State(
-            pipeline_state=hover(jnp.concatenate([config.start, height]), heading),
+            pipeline_state=cast(Any, hover(jnp.concatenate([config.start, height]), heading)),
             obs={},
             reward=zero,
             done=zero,
@@ -119,13 +130,13 @@ class RoomsNavigation(Env):
         drone, nearest = fly(
             self.scene,
             settings.gains,
-            state.pipeline_state,
+            drone_state(state),
             Command(speed, yaw_rate, settings.flight_height),
             self.physics_steps,
         )
         info = state.info
         step_count = info["step_count"] + 1
-        standing_count = jnp.where(speed == 0, info["standing_count"] + 1, 0)
+        standing_count = (speed == 0) * (info["standing_count"] + 1)
 
         collision = nearest <= self.scene.drone_radius
         distance = jnp.linalg.norm(info["config"].goal - drone.qpos[:2])
@@ -152,7 +163,7 @@ class RoomsNavigation(Env):
 
     def observe(self, state: State) -> State:
         """Fills in the observation of the state as it stands."""
-        drone: DroneState = state.pipeline_state
+        drone = drone_state(state)
         offset = state.info["config"].goal - drone.qpos[:2]
         bearing = jnp.arctan2(offset[1], offset[0]) - heading(drone.qpos[3:])
         goal = jnp.stack([jnp.linalg.norm(offset), (bearing + jnp.pi) % (2 * jnp.pi) - jnp.pi])

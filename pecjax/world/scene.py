@@ -93,9 +93,7 @@ def default_scene_path() -> Path:
     return shipped if shipped.exists() else package.parent / "assets" / "rooms.xml"
 
 
-def load_scene(
-    path: str | Path | None = None, resolution: tuple[int, int] | None = None
-) -> Scene:
+def load_scene(path: str | Path | None = None, resolution: tuple[int, int] | None = None) -> Scene:
     """Reads a map and its drone from an MJCF file.
 
     The file must hold one body named `drone` with a free joint, a collision sphere, a camera and
@@ -170,7 +168,7 @@ def _walls(path: Path, model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, t
         if not is_box or not np.allclose(axes.max(axis=1), 1.0, atol=1e-6):
             raise InputError(
                 f"{path}: wall '{name}' is not an axis-aligned box; make it one, or give it "
-                "contype=\"0\" conaffinity=\"0\" if it is there for show"
+                'contype="0" conaffinity="0" if it is there for show'
             )
         half = np.round(axes) @ model.geom_size[geom]
         lower.append(data.geom_xpos[geom] - half)
@@ -196,7 +194,7 @@ def _inertia(path: Path, model: mujoco.MjModel, drone: int) -> np.ndarray:
     if turned or np.any(np.abs(model.body_ipos[drone]) > 1e-6):
         raise InputError(
             f"{path}: the drone's centre of mass must be its origin and its principal axes its own; "
-            "write <inertial pos=\"0 0 0\" mass=… diaginertia=…>"
+            'write <inertial pos="0 0 0" mass=… diaginertia=…>'
         )
     return model.body_inertia[drone].copy()
 
