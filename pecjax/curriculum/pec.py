@@ -47,7 +47,9 @@ def pec(num_configs: int, alpha: float | jax.Array = 0.2) -> Sampler:
     """
     if num_configs < 1:
         raise InputError(f"num_configs is {num_configs}; a sampler needs at least 1 configuration")
-    if not isinstance(alpha, jax.core.Tracer) and not np.all(np.isfinite(alpha) & (np.asarray(alpha) >= 0)):
+    if np.ndim(alpha):
+        raise InputError(f"alpha has shape {np.shape(alpha)}; give one number, and vmap over several")
+    if not isinstance(alpha, jax.core.Tracer) and not (np.isfinite(alpha) and alpha >= 0):
         raise InputError(f"alpha is {alpha}; it must be a finite number of 0 or more")
 
     def init() -> PECState:

@@ -14,6 +14,7 @@ from pecjax.errors import InputError
 from pecjax.world.clearance import wall_distance
 from pecjax.world.scene import Scene
 
+MAX_COORDINATE = 1e6  # m; what lies beyond is a slip of the pen
 CELL = 0.05  # m, of the grid on which reachability is decided
 
 
@@ -98,7 +99,7 @@ def load_coordinates(name: str | Path) -> Configurations:
     rows = [_row(path, n, line) for n, line in enumerate(lines, 1) if line.split("#")[0].strip()]
     if not rows:
         raise InputError(f"{path}: no coordinates; write one 'x, y, x, y' a line")
-    table = np.array(rows, np.float32)
+    table = np.array(rows).astype(np.float32)
     return Configurations(start=table[:, :2], goal=table[:, 2:])
 
 
@@ -107,7 +108,7 @@ def _row(path: Path, number: int, line: str) -> list[float]:
         row = [float(field) for field in line.split("#")[0].replace(",", " ").split()]
     except ValueError:
         row = []
-    if len(row) != 4 or not np.all(np.isfinite(row)):
+    if len(row) != 4 or not np.all(np.abs(row) <= MAX_COORDINATE):
         raise InputError(
             f"{path}, line {number}: '{line.strip()[:60]}' is not four numbers; "
             "write start x, start y, goal x, goal y in metres"
@@ -131,11 +132,11 @@ def check_coordinates(scene: Scene, table: Configurations, *, flight_height: flo
             raise InputError(f"configuration {row}: {role} {_at(points[row])} lies outside the map; move it")
         heights = np.full((len(points), 1), flight_height, points.dtype)
         gaps = np.asarray(wall_distance(scene, jnp.asarray(np.hstack([points, heights]))))
-        for row in _first(gaps < scene.drone_radius):
+        for row in _first(gaps <= scene.drone_radius):
             where = "inside a wall" if gaps[row] == 0 else f"{gaps[row]:.2f} m from a wall"
             raise InputError(
                 f"configuration {row}: {role} {_at(points[row])} lies {where}; keep it "
-                f"{scene.drone_radius:g} m, the drone's radius, away"
+                f"more than {scene.drone_radius:g} m, the drone's radius, away"
             )
     for row in _first(np.all(start == goal, axis=1)):
         raise InputError(f"configuration {row}: start and goal are both {_at(start[row])}; move one")
@@ -168,7 +169,7 @@ def free_regions(scene: Scene, flight_height: float) -> tuple[np.ndarray, np.nda
     xs, ys = (np.arange(low[axis], high[axis] + CELL, CELL) for axis in range(2))
     points = np.stack(np.meshgrid(xs, ys, [flight_height], indexing="ij"), axis=-1)[:, :, 0]
     distance = np.asarray(wall_distance(scene, jnp.asarray(points, jnp.float32)))
-    return cast(Any, ndimage.label(distance >= scene.drone_radius))[0], np.array([xs[0], ys[0]])
+    return cast(Any, ndimage.label(distance > scene.drone_radius))[0], np.array([xs[0], ys[0]])
 
 
 def _regions_at(regions: np.ndarray, origin: np.ndarray, points: np.ndarray) -> np.ndarray:

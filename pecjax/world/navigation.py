@@ -151,7 +151,7 @@ class RoomsNavigation(Env):
         )
         return state.replace(
             pipeline_state=drone,
-            reward=reward,
+            reward=jnp.asarray(reward, jnp.float32),
             done=(goal | collision | timeout).astype(jnp.float32),
             metrics={
                 "goal": goal.astype(jnp.float32),

@@ -117,6 +117,10 @@ def load_scene(path: str | Path | None = None, resolution: tuple[int, int] | Non
             f"{path}: the drone needs a free joint, and nothing else may move "
             f"(found {model.njnt} joints, {model.nq} coordinates)"
         )
+    if np.any(model.body_parentid[drone + 1 :] == drone):
+        raise InputError(
+            f"{path}: the drone must be one body; put its geoms, sites and camera on 'drone' itself"
+        )
     model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     model.opt.disableflags |= _DISABLED
@@ -142,7 +146,7 @@ def _compile(path: Path) -> mujoco.MjModel:
         raise InputError(f"{path}: no such scene file; give the path of an MJCF file")
     try:
         ElementTree.parse(path)
-    except (ElementTree.ParseError, UnicodeDecodeError, OSError) as error:
+    except (ElementTree.ParseError, ValueError, LookupError, OSError) as error:
         raise InputError(f"{path}: not XML ({error}); give an MJCF file") from error
     try:
         return mujoco.MjModel.from_xml_path(str(path))
@@ -207,11 +211,16 @@ def _camera(path: Path, model: mujoco.MjModel, drone: int) -> Camera:
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.cam_quat[camera])
     width, height = (int(n) for n in model.cam_resolution[camera])
-    near, far = DEFAULT_DEPTH_RANGE
+    if width < 1 or height < 1 or width * height == 1:
+        raise InputError(f"{path}: the camera's resolution is {width}×{height}; give it more pixels")
+    if np.any(model.cam_sensorsize[camera]):
+        raise InputError(f"{path}: the camera has intrinsics of its own; describe it by fovy alone")
+    depth_range = np.array(DEFAULT_DEPTH_RANGE)
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "depth_range") >= 0:
-        near, far = (float(x) for x in model.numeric("depth_range").data[:2])
-    if not 0 <= near < far:
-        raise InputError(f"{path}: depth_range is {near} to {far}; it must rise from 0 or more")
+        depth_range = model.numeric("depth_range").data
+    if depth_range.size != 2 or not 0 <= depth_range[0] < depth_range[1]:
+        raise InputError(f"{path}: depth_range is {depth_range}; write two lengths that rise from 0 or more")
+    near, far = depth_range.tolist()
     fovy = float(np.deg2rad(model.cam_fovy[camera]))
     return Camera(model.cam_pos[camera].copy(), rotation.reshape(3, 3), fovy, height, width, near, far)
 
@@ -221,9 +230,10 @@ def _rotors(path: Path, model: mujoco.MjModel, drone: int) -> Rotors:
     sites = model.site_bodyid[model.actuator_trnid[:, 0]] if model.nu else np.array([])
     on_drone = np.all(model.actuator_trntype == mujoco.mjtTrn.mjTRN_SITE) and np.all(sites == drone)
     limits = model.actuator_ctrlrange.copy()
-    if model.nu < 4 or not on_drone or model.na or not np.all(model.actuator_ctrllimited):
+    if model.nu < 4 or not on_drone or model.na or not np.all(limits[:, 1] > 0):
         raise InputError(
-            f"{path}: the drone needs four or more site actuators without state, each with a ctrlrange"
+            f"{path}: the drone needs four or more site actuators without state, each with a ctrlrange "
+            "that reaches above 0"
         )
     data = mujoco.MjData(model)
     data.qpos[3:] = (1, 0, 0, 0)

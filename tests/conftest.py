@@ -1,0 +1,97 @@
+"""Fixtures shared by the tests: scenes, an environment, and maps made by editing the shipped one."""
+
+import jax
+
+# Before JAX starts: the tests of several devices need two, and CPUs can pretend to be.
+jax.config.update("jax_num_cpu_devices", 2)
+
+import pytest  # noqa: E402
+
+import pecjax  # noqa: E402
+from pecjax.world.scene import default_scene_path  # noqa: E402
+
+# Differs from rooms.xml in all that a map may choose: a floor, walls that hang in bodies or are turned
+# by right angles, something there only for show, and another drone with another camera.
+OTHER_MAP = """
+<mujoco model="other">
+  <compiler angle="degree" autolimits="true"/>
+  <option timestep="0.01"/>
+  <custom><numeric name="depth_range" data="0.2 6"/></custom>
+  <worldbody>
+    <geom name="floor" type="box" pos="1 0 -0.05" size="5 4 0.05"/>
+    <geom name="south" type="box" pos="1 -4 1.5" size="5 0.15 1.5"/>
+    <geom name="north" type="box" pos="1 4 1.5" size="5 0.15 1.5"/>
+    <geom name="west" type="box" pos="-4 0 1.5" size="4 0.15 1.5" euler="0 0 90"/>
+    <geom name="east" type="box" pos="6 0 1.5" size="1.5 4 0.1" euler="0 90 0"/>
+    <body name="partition" pos="1 1 0" euler="0 0 90">
+      <geom name="partition" type="box" pos="0.5 0.25 1" size="2.5 0.1 1"/>
+      <body pos="-3 0 0">
+        <geom name="pillar" type="box" pos="0 -1.5 0.7" size="0.3 0.2 0.7"/>
+      </body>
+    </body>
+    <geom name="for_show" type="box" pos="3 -1 1" size="0.4 0.4 1" contype="0" conaffinity="0" group="2"/>
+    <body name="drone" pos="-2 0 1">
+      <freejoint/>
+      <inertial pos="0 0 0" mass="0.9" diaginertia="0.008 0.009 0.015"/>
+      <geom type="sphere" size="0.18" mass="0"/>
+      <site name="a" pos="0.12 0.15 0"/>
+      <site name="b" pos="-0.12 0.15 0"/>
+      <site name="c" pos="-0.12 -0.15 0"/>
+      <site name="d" pos="0.12 -0.15 0"/>
+      <camera name="eye" pos="0.08 0.03 -0.05" xyaxes="0 -1 0 0.5 0 0.8660254" fovy="58" resolution="20 11"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <general site="a" gear="0 0 1 0 0 0.02" ctrlrange="0 6"/>
+    <general site="b" gear="0 0 1 0 0 -0.02" ctrlrange="0 6"/>
+    <general site="c" gear="0 0 1 0 0 0.02" ctrlrange="0 6"/>
+    <general site="d" gear="0 0 1 0 0 -0.02" ctrlrange="0 6"/>
+  </actuator>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="session")
+def scene():
+    return pecjax.load_scene()
+
+
+@pytest.fixture(scope="session")
+def env(scene):
+    return pecjax.RoomsNavigation(scene)
+
+
+@pytest.fixture(scope="session")
+def other_map(tmp_path_factory):
+    path = tmp_path_factory.mktemp("maps") / "other.xml"
+    path.write_text(OTHER_MAP)
+    return path
+
+
+@pytest.fixture(scope="session")
+def other_scene(other_map):
+    return pecjax.load_scene(other_map)
+
+
+@pytest.fixture(scope="session")
+def edited_rooms(tmp_path_factory):
+    """(old, new), … -> path of a copy of rooms.xml with these pieces of text replaced."""
+    folder = tmp_path_factory.mktemp("edited")
+    rooms = default_scene_path().read_text()
+
+    def edit(*replacements):
+        text = rooms
+        for old, new in replacements:
+            assert old in text, f"rooms.xml no longer contains {old!r}"
+            text = text.replace(old, new)
+        path = folder / f"map_{len(list(folder.iterdir()))}.xml"
+        path.write_text(text)
+        return path
+
+    return edit
+
+
+@pytest.fixture(scope="session")
+def step(env):
+    """`env.step`, compiled once for every test that flies."""
+    return jax.jit(env.step)

@@ -1,0 +1,113 @@
+"""The one-way flow between the storeys, and what importing the package does and offers."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pecjax
+
+ROOT = Path(__file__).parents[1]
+
+IMPORT = """
+import json, os, sys, threading
+before = dict(os.environ)
+import pecjax
+import jax
+from jax._src import xla_bridge
+report = {
+    "environment": dict(os.environ) == before,
+    "backend": xla_bridge.backends_are_initialized(),
+    "experiments": sorted(name for name in sys.modules if name.startswith("pecjax.experiments")),
+}
+print(json.dumps(report))
+"""
+
+
+def test_storeys_import_only_from_above():
+    lint = subprocess.run(
+        [Path(sys.executable).parent / "lint-imports", "--no-cache"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert lint.returncode == 0, lint.stdout + lint.stderr
+    assert "2 kept, 0 broken" in lint.stdout
+
+
+def test_ppo_and_the_samplers_know_nothing_of_each_others_files():
+    """Whatever is plugged in is plugged in by its contract."""
+    agents = (ROOT / "pecjax" / "agents").glob("*.py")
+    text = {path.name: path.read_text() for path in agents}
+    assert {"ppo.py", "rollout.py", "agent.py"} <= set(text)
+    for name, source in text.items():
+        assert "curriculum.pec" not in source and "curriculum.uniform" not in source, name
+
+
+@pytest.fixture(scope="module")
+def imported():
+    """What a fresh process has to say after `import pecjax`."""
+    return subprocess.run(
+        [sys.executable, "-c", IMPORT], cwd=ROOT, capture_output=True, text=True, timeout=120
+    )
+
+
+def test_importing_prints_nothing(imported):
+    assert imported.returncode == 0, imported.stderr
+    assert imported.stdout.count("\n") == 1 and imported.stderr == ""
+
+
+def test_importing_leaves_the_environment_and_the_devices_alone(imported):
+    report = json.loads(imported.stdout)
+    assert report["environment"]
+    assert not report["backend"]
+    # The command line's libraries (figures, tables, checkpoints) are for those who run it.
+    assert report["experiments"] == []
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "load_scene",
+        "depth_image",
+        "RoomsNavigation",
+        "COORDINATE_SET_1",
+        "COORDINATE_SET_2",
+        "curriculum.pec",
+        "curriculum.uniform",
+        "curriculum.Outcomes",
+        "curriculum.Sampler",
+        "agents.ppo",
+        "agents.ppo.make",
+    ],
+)
+def test_public_names(name):
+    found = pecjax
+    for part in name.split("."):
+        found = getattr(found, part)
+    assert found is not None
+
+
+def test_what_the_public_objects_hold(scene):
+    assert scene.model.nbody == 2 and scene.drone_radius == 0.25
+    assert scene.wall_lower.shape == scene.wall_upper.shape == (14, 3)
+    assert np.all(scene.wall_lower < scene.wall_upper)
+    for table, size in ((pecjax.COORDINATE_SET_1, 20), (pecjax.COORDINATE_SET_2, 24)):
+        assert table.start.shape == table.goal.shape == (size, 2)
+    sampler = pecjax.curriculum.pec(num_configs=20, alpha=0.2)
+    assert sampler._fields == ("init", "probabilities", "sample", "update")
+    assert pecjax.curriculum.Outcomes._fields == ("config_id", "done", "failed")
+    agent = pecjax.agents.ppo.make(
+        pecjax.RoomsNavigation(scene), pecjax.COORDINATE_SET_1, sampler, pecjax.agents.ppo.PPOSettings()
+    )
+    assert {"init", "iterate", "policy"} <= set(agent._fields)
+    assert pecjax.InputError.__mro__[1] is ValueError
+
+
+def test_the_version_is_the_distributions():
+    text = (ROOT / "pyproject.toml").read_text()
+    assert f'version = "{pecjax.__version__}"' in text

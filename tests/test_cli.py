@@ -1,0 +1,306 @@
+"""The command line: what it prints, what it leaves, and how it refuses."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pandas as pd
+import pytest
+from jax.experimental.compilation_cache.compilation_cache import reset_cache
+
+import pecjax
+from pecjax.cli import main
+from pecjax.experiments import devices
+
+TRAIN = ["train", "--iterations", "2", "--num-envs", "8", "--out", "run"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def own_cache(tmp_path_factory):
+    """Keeps the user's cache out of it, and the two devices that this process began with."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setattr(devices, "use_all_cores", lambda: None)
+        before = jax.config.jax_compilation_cache_dir
+        reset_cache()  # JAX asks only once whether there is one
+        yield
+        jax.config.update("jax_compilation_cache_dir", before)
+        reset_cache()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cli") / "run"
+    assert main([*TRAIN[:-1], str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture
+def refused(tmp_path, monkeypatch, capsys):
+    """Runs a command that must be refused; returns its one line on stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def attempt(*args):
+        before = sorted(tmp_path.rglob("*"))
+        assert main([str(arg) for arg in args]) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.count("\n") == 1 and err.endswith("\n") and err.startswith("pecjax: "), err
+        assert "Traceback" not in err and len(err) < 1000
+        assert sorted(tmp_path.rglob("*")) == before, "something was left behind"
+        return err
+
+    return attempt
+
+
+def pecjax_process(*args, cwd):
+    return subprocess.run(
+        [sys.executable, "-m", "pecjax.cli", *args], capture_output=True, text=True, cwd=cwd, timeout=120
+    )
+
+
+def test_train_leaves_a_run_and_its_figures(run):
+    assert pd.read_csv(run / "metrics.csv").env_steps.tolist() == [256, 512]
+    there = {path.suffix for path in (run / "figures").iterdir()}
+    assert there == {".png", ".svg"}
+    settings = json.loads((run / "config.json").read_text())["settings"]
+    assert settings["iterations"] == 2 and settings["ppo"]["num_envs"] == 8
+    assert settings["sampler"] == "pec" and settings["alpha"] == 0.2 and settings["coordinates"] == "1"
+
+
+def test_eval_prints_exactly_one_json_object(run, capsys):
+    assert main(["eval", str(run), "--episodes", "7", "--sampled", "--json"]) == 0
+    out = capsys.readouterr().out
+    assert out.count("\n") == 1
+    report = json.loads(out)
+    assert {"goal_ratio", "mean_return", "episodes", "per_configuration"} <= set(report)
+    assert report["episodes"] == 7 and report["checkpoint"] == 2 and report["greedy"] is False
+    flown = [ratio for ratio in report["per_configuration"] if ratio is not None]
+    assert len(report["per_configuration"]) == 20 and len(flown) == 7
+    np.testing.assert_allclose(report["goal_ratio"], np.mean(flown), atol=1e-6)
+    # In words it says the same.
+    assert main(["eval", str(run), "--episodes", "7", "--sampled"]) == 0
+    out = capsys.readouterr().out
+    assert f"goal ratio {report['goal_ratio']:.4f}" in out and out.count("not flown") == 13
+
+
+def test_figures_draws_them_again_and_names_them(run, capsys):
+    shutil.rmtree(run / "figures")
+    assert main(["figures", str(run)]) == 0
+    named = capsys.readouterr().out.split()
+    assert sorted(named) == sorted(str(path) for path in (run / "figures").iterdir())
+    assert len(named) >= 8
+
+
+@pytest.mark.parametrize("coordinates", ["1", "2"])
+def test_check_passes_the_papers_sets_and_draws_them(coordinates, tmp_path, capsys):
+    assert main(["check", "--coordinates", coordinates, "--out", str(tmp_path / "map")]) == 0
+    size = (pecjax.COORDINATE_SET_1 if coordinates == "1" else pecjax.COORDINATE_SET_2).size
+    assert f"{size} configurations" in capsys.readouterr().out
+    assert {path.name for path in tmp_path.iterdir()} == {"map.png", "map.svg"}
+    assert min(path.stat().st_size for path in tmp_path.iterdir()) > 5000
+
+
+def test_check_draws_to_the_name_it_is_given(tmp_path):
+    assert main(["check", "--out", str(tmp_path / "map.v2")]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"map.v2.png", "map.v2.svg"}
+
+
+@pytest.mark.parametrize("command", [[], ["train"], ["eval"], ["figures"], ["check"]])
+def test_every_command_explains_itself(command, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([*command, "--help"])
+    assert stop.value.code == 0
+    out, err = capsys.readouterr()
+    assert "usage: pecjax" in out and err == ""
+    options = {"train": ["--preset", "--alpha", "--seed"], "eval": ["--json"], "check": ["--scene"]}
+    for option in options.get("".join(command), []):
+        assert option in out
+
+
+def test_as_a_process_of_its_own(tmp_path):
+    helped = pecjax_process("train", "--help", cwd=tmp_path)
+    assert helped.returncode == 0 and "--iterations" in helped.stdout and helped.stderr == ""
+    refused = pecjax_process("check", "--scene", "nowhere.xml", cwd=tmp_path)
+    assert refused.returncode == 2 and refused.stdout == ""
+    assert refused.stderr == "pecjax: nowhere.xml: no such scene file; give the path of an MJCF file\n"
+    assert not os.listdir(tmp_path)
+
+
+# Bad scenes: pieces of rooms.xml replaced, and what the complaint must say.
+CAMERA = '<camera name="depth" pos="0.1 0 0" xyaxes="0 -1 0 0 0 1" fovy="73.7398" resolution="16 12"/>'
+SCENES = {
+    "no drone": (('<body name="drone"', '<body name="bird"'), "no body named 'drone'"),
+    "no camera": ((CAMERA, ""), "no camera on the body 'drone'"),
+    "a round wall": (('name="west_b"', 'name="west_b" type="cylinder"'), "wall 'west_b' is not"),
+    "a turned wall": (('name="north_b"', 'name="north_b" euler="0 0 0.3"'), "wall 'north_b' is not"),
+}
+
+
+@pytest.mark.parametrize("command", [TRAIN, ["check"]], ids=["train", "check"])
+@pytest.mark.parametrize("name", SCENES)
+def test_bad_scenes(name, command, edited_rooms, refused):
+    replacement, words = SCENES[name]
+    path = edited_rooms(replacement)
+    complaint = refused(*command, "--scene", path)
+    assert words in complaint and str(path) in complaint
+
+
+@pytest.mark.parametrize("command", [TRAIN, ["check"]], ids=["train", "check"])
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "no such scene file"),
+        (b"just words", "not XML"),
+        (b"\xff\xfe\x00\x01", "not XML"),
+        (b"", "not XML"),
+        (b"<html/>", "MuJoCo cannot compile it"),
+        (b"<mujoco/>", "no body named 'drone'"),
+    ],
+)
+def test_scene_files_that_are_none(content, words, command, tmp_path, refused):
+    if content is not None:
+        (tmp_path / "map.xml").write_bytes(content)
+    complaint = refused(*command, "--scene", "map.xml")
+    assert words in complaint and "map.xml" in complaint
+
+
+@pytest.mark.parametrize("command", [TRAIN, ["check"]], ids=["train", "check"])
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "neither 1 nor 2 nor a file"),
+        (b"", "no coordinates"),
+        (b"# only words\n\n", "no coordinates"),
+        (b"0 0 1 0\none two three four\n", "line 2: 'one two three four' is not four numbers"),
+        (b"0 0 1\n", "line 1: '0 0 1' is not four numbers"),
+        (b"0 0 1 0 5\n", "line 1"),
+        (b"0 0 nan 0\n", "line 1"),
+        (b"0 0 inf 0\n", "line 1"),
+        (b"\xff\xfe\x00", "cannot be read as text"),
+        (b"0 0 1 0\n0 1 2 0\n", "configuration 1: start (0, 1) lies inside a wall"),
+        (b"0 0 5 0.8\n", "configuration 0: goal (5, 0.8) lies 0.10 m from a wall"),
+        (b"0 0 1 0\n\n0 0 20 0\n", "configuration 1: goal (20, 0) lies outside the map"),
+        (b"2 -1 2 -1\n", "configuration 0: start and goal are both (2, -1)"),
+    ],
+)
+def test_bad_coordinate_files(content, words, command, tmp_path, refused):
+    if content is not None:
+        (tmp_path / "places.txt").write_bytes(content)
+    assert words in refused(*command, "--coordinates", "places.txt")
+
+
+@pytest.mark.parametrize("command", [TRAIN, ["check"]], ids=["train", "check"])
+def test_a_goal_that_no_path_reaches(command, edited_rooms, refused):
+    # One wall right across closes the door between the hall and the south-east.
+    closed = edited_rooms(('pos="-4 -4 1.25" size="6 0.1 1.25"', 'pos="-1 -4 1.25" size="9 0.1 1.25"'))
+    complaint = refused(*command, "--scene", closed)
+    assert "configuration 14: no path" in complaint and "(3, -5) to (3, -2)" in complaint
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--alpha", "-0.1"], ["alpha", "-0.1"]),
+        (["--alpha", "nan"], ["alpha", "nan"]),
+        (["--alpha", "inf"], ["alpha", "inf"]),
+        (["--alpha", "1e39"], ["alpha"]),  # infinite in float32
+        (["--sampler", "bandit"], ["unknown sampler 'bandit'", "pec", "uniform"]),
+        (["--preset", "slow"], ["unknown preset 'slow'", "fast", "rllib085"]),
+        (["--coordinates", "3"], ["'3'"]),
+        (["--algorithm", "sac"], ["unknown algorithm 'sac'", "ppo"]),
+        (["--num-envs", "0"], ["num-envs is 0"]),
+        (["--num-envs", "-8"], ["num-envs is -8"]),
+        (["--iterations", "0"], ["iterations is 0"]),
+        (["--iterations", "-1"], ["iterations is -1"]),
+        (["--devices", "0"], ["devices is 0"]),
+        (["--devices", "-1"], ["devices is -1"]),
+        (["--devices", "3"], ["devices is 3", "has 2"]),
+        (["--devices", "2", "--num-envs", "7"], ["7 environments", "2 devices"]),
+        (["--seed", "-1"], ["seed is -1"]),
+        (["--seed", "99999999999"], ["seed is 99999999999"]),
+        (["--speed", "3"], ["--speed"]),
+        (["--iterations", "many"], ["--iterations", "many"]),
+        (["--alpha", "big"], ["--alpha", "big"]),
+        (["--seed", "1.5"], ["--seed", "1.5"]),
+        (["--out"], ["--out"]),
+    ],
+    ids=lambda value: " ".join(value),
+)
+def test_bad_options_of_train(options, words, refused):
+    complaint = refused(*TRAIN, *options)
+    for word in words:
+        assert word in complaint
+
+
+def test_no_command_and_an_unknown_one(refused):
+    refused()
+    assert "fly" in refused("fly")
+
+
+def test_out_folders_that_cannot_be_had(tmp_path, refused):
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "config.json").write_text("{}")
+    (tmp_path / "file").write_text("")
+    for out, words in (
+        ("taken", "taken: holds another run"),
+        ("file", "file: is a file"),
+        ("file/run", "file/run"),
+        ("/proc/run", "/proc/run"),
+    ):
+        assert words in refused(*TRAIN[:-1], out)
+    for out in ("file/map", "/proc/map"):
+        assert out in refused("check", "--out", out)
+
+
+@pytest.mark.parametrize("command", ["eval", "figures"])
+def test_folders_that_hold_no_run(command, tmp_path, refused):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").write_text("")
+    for folder in ("nowhere", "empty", "file"):
+        assert f"{folder}: no run here" in refused(command, folder)
+
+
+@pytest.mark.parametrize("command", ["eval", "figures"])
+@pytest.mark.parametrize("content", ["", "{", "[]", "{}", '{"settings": 3}', '{"settings": {"alpha": "x"}}'])
+def test_a_corrupt_config(command, content, tmp_path, run, refused):
+    shutil.copytree(run, tmp_path / "copy")
+    (tmp_path / "copy" / "config.json").write_text(content)
+    assert "config.json" in refused(command, "copy")
+
+
+def test_evaluations_that_cannot_be_flown(run, tmp_path, refused):
+    assert "no checkpoint 3; there are 2" in refused("eval", run, "--checkpoint", "3")
+    assert "episodes is 0" in refused("eval", run, "--episodes", "0")
+    assert "episodes is -2" in refused("eval", run, "--episodes", "-2")
+    assert "seed is -1" in refused("eval", run, "--seed", "-1")
+    refused("eval")
+
+
+@pytest.mark.parametrize(
+    ("command", "lost"),
+    [
+        ("eval", "checkpoints"),
+        ("eval", "scene.xml"),
+        ("eval", "coordinates.csv"),
+        ("figures", "metrics.csv"),
+        ("figures", "trajectories.csv"),
+        ("figures", "scene.xml"),
+    ],
+)
+def test_a_run_that_has_lost_a_part(command, lost, run, tmp_path, refused):
+    shutil.copytree(run, tmp_path / "copy")
+    path = tmp_path / "copy" / lost
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    assert lost in refused(command, "copy")
+
+
+@pytest.mark.parametrize("content", ["", "not,a\ntable"])
+def test_figures_of_a_spoilt_table(content, run, tmp_path, refused):
+    shutil.copytree(run, tmp_path / "copy")
+    (tmp_path / "copy" / "metrics.csv").write_text(content)
+    assert "metrics.csv" in refused("figures", "copy")

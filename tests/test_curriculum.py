@@ -1,0 +1,201 @@
+import jax
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies
+from jax import numpy as jnp
+from jax.sharding import Mesh, PartitionSpec
+from scipy import stats
+
+from pecjax import InputError
+from pecjax.curriculum import Outcomes, pec, tally, uniform
+
+N = 20
+ALPHAS = np.array([0, 0.1, 0.2, 0.3, 0.4], np.float32)
+probabilities = jax.jit(pec(N).probabilities)  # α comes with the state
+
+
+def state_of(trials, failures, alpha=0.2):
+    counts = jnp.asarray(np.array([trials, failures]), jnp.int32)
+    return pec(counts.shape[1]).init()._replace(counts=counts, alpha=jnp.float32(alpha))
+
+
+def equations_1_and_2(trials, failures, alpha):
+    priority = [f / t + alpha if t > 0 else 1.0 for t, f in zip(trials, failures, strict=True)]
+    return np.array(priority) / sum(priority)
+
+
+def counts_of(rng, high=200):
+    trials = rng.integers(0, high, N)
+    return trials, rng.integers(0, trials + 1)
+
+
+def some_outcomes(shape, seed=0):
+    rng = np.random.default_rng(seed)
+    return Outcomes(
+        jnp.asarray(rng.integers(0, N, shape), jnp.int32),
+        jnp.asarray(rng.random(shape) < 0.4),
+        jnp.asarray(rng.random(shape) < 0.5),  # also where nothing is done: that must not count
+    )
+
+
+def counted_by_hand(outcomes):
+    counts = np.zeros((2, N), int)
+    for config, done, failed in zip(*(np.ravel(x) for x in outcomes), strict=True):
+        if done:
+            counts[0, config] += 1
+            counts[1, config] += bool(failed)
+    return counts
+
+
+trials_and_failures = strategies.lists(
+    strategies.integers(0, 10**6).flatmap(
+        lambda trials: strategies.tuples(strategies.just(trials), strategies.integers(0, trials))
+    ),
+    min_size=N,
+    max_size=N,
+)
+
+
+@settings(deadline=None, derandomize=True, max_examples=200)
+@given(trials_and_failures, strategies.floats(2**-10, 10, width=32))
+def test_probabilities_are_equations_1_and_2(counts, alpha):
+    trials, failures = np.array(counts).T
+    actual = np.asarray(probabilities(state_of(trials, failures, alpha)))
+    np.testing.assert_allclose(actual, equations_1_and_2(trials, failures, alpha), rtol=1e-5)
+    np.testing.assert_allclose(actual.sum(), 1, rtol=1e-5)
+    # Priorities of tried ones lie in [α, 1 + α], which bounds how unlike two of them can be.
+    tried = actual[trials > 0]
+    if len(tried):
+        assert tried.max() / tried.min() <= (1 + alpha) / alpha * (1 + 1e-5)
+
+
+@settings(deadline=None, derandomize=True, max_examples=50)
+@given(trials_and_failures, strategies.integers(0, N - 1))
+def test_a_further_failure_makes_a_configuration_likelier(counts, config):
+    trials, failures = np.array(counts).T
+    if trials[config] == 0 or failures[config] == trials[config]:
+        trials[config], failures[config] = 2, 1
+    before = probabilities(state_of(trials, failures))
+    failures[config] = trials[config]
+    after = probabilities(state_of(trials, failures))
+    assert after[config] > before[config]
+    assert np.all(np.delete(after, config) <= np.delete(before, config))
+
+
+def test_before_any_trial_all_are_alike():
+    state = pec(N).init()
+    np.testing.assert_allclose(probabilities(state), np.full(N, 1 / N), rtol=1e-6)
+    assert state.counts.shape == (2, N)
+    assert state.alpha == np.float32(0.2)  # the paper's default
+
+
+def test_with_alpha_0_and_everything_solved_all_are_alike():
+    np.testing.assert_allclose(probabilities(state_of([5] * N, [0] * N, 0.0)), np.full(N, 1 / N), rtol=1e-6)
+    # What is not tried yet is still of priority 1, and all that is left.
+    np.testing.assert_allclose(
+        probabilities(state_of([0] + [5] * (N - 1), [0] * N, 0.0)), np.eye(N)[0], rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.2])
+def test_draws_follow_the_probabilities(alpha):
+    trials, failures = counts_of(np.random.default_rng(1))
+    trials[0], failures[1:3] = 0, 0
+    state = state_of(trials, failures, alpha)
+    ids = jax.jit(pec(N).sample, static_argnums=2)(state, jax.random.key(0), (200, 500))
+    assert ids.shape == (200, 500) and ids.dtype == jnp.int32
+    drawn, expected = np.bincount(np.ravel(ids), minlength=N), equations_1_and_2(trials, failures, alpha)
+    possible = expected > 0
+    assert not drawn[~possible].any()
+    assert stats.chisquare(drawn[possible], 100_000 * expected[possible]).pvalue > 1e-3
+
+
+def test_uniform_draws_all_alike_and_never_learns():
+    sampler = uniform(N)
+    state = sampler.init()
+    np.testing.assert_allclose(sampler.probabilities(state), np.full(N, 1 / N))
+    ids = jax.jit(sampler.sample, static_argnums=2)(state, jax.random.key(0), (100_000,))
+    assert ids.dtype == jnp.int32
+    assert stats.chisquare(np.bincount(ids, minlength=N)).pvalue > 1e-3
+    assert sampler.update(state, some_outcomes((100,))) == state
+
+
+@pytest.mark.parametrize("make", [pec, uniform])
+def test_a_single_draw_is_a_scalar_and_keys_decide(make):
+    sampler = make(N)
+    draw = jax.jit(sampler.sample)
+    assert draw(sampler.init(), jax.random.key(0)).shape == ()
+    keys = jax.random.split(jax.random.key(1), 30)
+    first, again = ([int(draw(sampler.init(), key)) for key in keys] for _ in range(2))
+    assert first == again and len(set(first)) > 5
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (64,), (128, 32), (2, 3, 50)])
+def test_tally_counts_what_is_done(shape):
+    outcomes = some_outcomes(shape)
+    np.testing.assert_array_equal(tally(outcomes, N), counted_by_hand(outcomes))
+
+
+def test_tally_takes_flags_as_floats_and_adds_duplicates_up():
+    ids = jnp.array([3, 3, 3, 3, 7, 7])
+    counts = tally(Outcomes(ids, jnp.array([1.0, 1, 1, 0, 1, 0]), jnp.array([1.0, 1, 0, 1, 0, 1])), N)
+    assert counts.dtype == jnp.int32
+    assert counts[:, 3].tolist() == [3, 2] and counts[:, 7].tolist() == [1, 0]
+    assert counts.sum() == 6
+
+
+def test_counts_are_kept_over_the_whole_training():
+    sampler = pec(N)
+    update, state = jax.jit(sampler.update), sampler.init()
+    batches = [some_outcomes((40, 8), seed) for seed in range(5)]
+    for batch in batches:
+        state = update(state, batch)
+    np.testing.assert_array_equal(state.counts, sum(counted_by_hand(batch) for batch in batches))
+    expected = equations_1_and_2(*np.asarray(state.counts), 0.2)
+    np.testing.assert_allclose(probabilities(state), expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("make", [pec, uniform])
+def test_two_devices_learn_what_one_does(make):
+    sampler = make(N)
+    mesh = Mesh(np.array(jax.devices()[:2]), ("devices",))
+    whole, split = PartitionSpec(), PartitionSpec(None, "devices")
+    update = jax.shard_map(
+        lambda state, outcomes: sampler.update(state, outcomes, axis_name="devices"),
+        mesh=mesh, in_specs=(whole, split), out_specs=whole,
+    )  # fmt: skip
+    outcomes = some_outcomes((30, 16))
+    together = jax.jit(update)(sampler.init(), outcomes)
+    alone = sampler.update(sampler.init(), outcomes)
+    jax.tree.map(np.testing.assert_array_equal, together, alone)
+
+
+def test_a_study_over_alpha_is_a_vmap():
+    outcomes = some_outcomes((500,))
+
+    def study(alpha):
+        sampler = pec(N, alpha)
+        state = sampler.update(sampler.init(), outcomes)
+        return state, sampler.probabilities(state), sampler.sample(state, jax.random.key(0), (50,))
+
+    together = jax.jit(jax.vmap(study))(jnp.asarray(ALPHAS))
+    separate = [study(float(alpha)) for alpha in ALPHAS]
+    for n, (state, chances, ids) in enumerate(separate):
+        np.testing.assert_array_equal(together[0].counts[n], state.counts)
+        np.testing.assert_allclose(together[1][n], chances, rtol=1e-6)
+        np.testing.assert_array_equal(together[2][n], ids)
+    spread = [np.ptp(chances) for _, chances, _ in separate]
+    assert spread == sorted(spread, reverse=True)  # α levels the failure ratios out
+
+
+@pytest.mark.parametrize("alpha", [-0.1, float("nan"), float("inf"), -float("inf")])
+def test_a_bad_alpha_is_refused(alpha):
+    with pytest.raises(InputError, match="alpha is"):
+        pec(N, alpha)
+
+
+@pytest.mark.parametrize("make", [pec, uniform])
+@pytest.mark.parametrize("num_configs", [0, -3])
+def test_no_configuration_is_refused(make, num_configs):
+    with pytest.raises(InputError, match="num_configs is"):
+        make(num_configs)

@@ -1,0 +1,178 @@
+"""Evaluation against a plain loop over the environment's steps."""
+
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+
+import pecjax
+from pecjax.agents import fleet_mesh, ppo
+from pecjax.agents.networks import NetworkSettings
+from pecjax.experiments.evaluation import Flights, even_draw, goal_ratios, make_evaluator
+from pecjax.world.navigation import NavigationSettings
+
+# Steering straight at the goal reaches the first, hits a wall on the way to the second, and runs
+# out of steps on the way to the third.
+TABLE = pecjax.Configurations(
+    np.array([[0, -2], [0, 5], [-5, -2]], np.float32), np.array([[2, -2], [0, -2], [7, -2]], np.float32)
+)
+LIMIT, EPISODES, SEED = 60, 7, 11
+
+
+def policy(logits, greedy=False):
+    """Steers at the goal; drawn actions differ from that as the learner's logits have it."""
+
+    def act(obs, key):
+        bearing = obs["goal"][1]
+        turning = jnp.where(bearing > 0, 4, 0)  # on the spot
+        steering = jnp.where(jnp.abs(bearing) > 0.4, turning, jnp.where(bearing > 0, 13, 11))
+        preferred = logits.at[steering].add(5.0)
+        return jnp.argmax(preferred) if greedy else jax.random.categorical(key, preferred)
+
+    return act
+
+
+@pytest.fixture(scope="module")
+def task(scene):
+    return pecjax.RoomsNavigation(scene, TABLE, NavigationSettings(max_steps=LIMIT))
+
+
+@pytest.fixture(scope="module")
+def evaluators(task):
+    """(devices, greedy) -> fly; seven episodes, which two devices cannot share evenly."""
+    made = {}
+
+    def get(devices: int, greedy: bool):
+        if (devices, greedy) not in made:
+            made[devices, greedy] = make_evaluator(
+                task,
+                TABLE,
+                SimpleNamespace(policy=policy),
+                fleet_mesh(devices),
+                episodes=EPISODES,
+                greedy=greedy,
+                seed=SEED,
+            )(jnp.zeros(15))
+        return made[devices, greedy]
+
+    return get
+
+
+@pytest.fixture(scope="module")
+def flights(evaluators):
+    return evaluators(2, True)(jnp.zeros(15))
+
+
+def in_a_plain_loop(task, config_id: np.ndarray) -> Flights:
+    """The same episodes one after the other, with nothing but `place`, `observe` and `step`."""
+    step, act = jax.jit(task.step), jax.jit(policy(jnp.zeros(15), greedy=True))
+    goal, returns, lengths, paths = [], [], [], []
+    for episode, row in enumerate(config_id):
+        key = jax.random.fold_in(jax.random.key(SEED), episode)
+        heading = jax.random.uniform(key, minval=-jnp.pi, maxval=jnp.pi)
+        config = pecjax.Configurations(jnp.asarray(TABLE.start[row]), jnp.asarray(TABLE.goal[row]))
+        state = task.observe(task.place(config, heading))
+        total, path = 0.0, [TABLE.start[row]]
+        while not state.done:
+            state = step(state, act(state.obs, key))
+            total += float(state.reward)
+            path.append(np.asarray(state.pipeline_state.qpos[:2]))
+        goal.append(bool(state.metrics["goal"]))
+        returns.append(total)
+        lengths.append(len(path) - 1)
+        paths.append(path + [path[-1]] * (LIMIT + 1 - len(path)))
+    return Flights(config_id, np.array(goal), np.array(returns), np.array(lengths), np.array(paths))
+
+
+def test_equals_a_plain_loop(task, flights):
+    looped = in_a_plain_loop(task, even_draw(TABLE.size, EPISODES, SEED))
+    for name in ("config_id", "goal", "lengths"):
+        np.testing.assert_array_equal(getattr(flights, name), getattr(looped, name), err_msg=name)
+    np.testing.assert_allclose(flights.returns, looped.returns, rtol=1e-6)
+    # Metres, after up to 6 s of feedback flight in float32.
+    np.testing.assert_allclose(flights.paths, looped.paths, atol=1e-3)
+    # All three endings were there to be compared.
+    by_config = [set(flights.goal[flights.config_id == row].tolist()) for row in range(3)]
+    assert by_config == [{True}, {False}, {False}]
+    assert set(flights.lengths[flights.config_id == 2]) == {LIMIT}
+    assert max(flights.lengths[flights.config_id == 1]) < LIMIT
+
+
+def test_paths_begin_at_the_start_and_rest_after_the_end(flights):
+    assert flights.paths.shape == (EPISODES, LIMIT + 1, 2)
+    np.testing.assert_array_equal(flights.paths[:, 0], TABLE.start[flights.config_id])
+    for path, length in zip(flights.paths, flights.lengths, strict=True):
+        np.testing.assert_array_equal(path[length:], np.tile(path[length], (LIMIT + 1 - length, 1)))
+        assert np.any(path[length] != path[length - 1])  # it came to its end in flight
+
+
+@pytest.mark.parametrize("greedy", [True, False])
+def test_two_devices_fly_the_episodes_of_one(evaluators, greedy):
+    one, two = (evaluators(devices, greedy)(jnp.zeros(15)) for devices in (1, 2))
+    for name in ("config_id", "goal", "lengths"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name), err_msg=name)
+    np.testing.assert_allclose(one.returns, two.returns, rtol=1e-6)
+    np.testing.assert_allclose(one.paths, two.paths, atol=1e-3)
+    assert one.config_id.shape == (EPISODES,)
+
+
+@pytest.mark.parametrize("greedy", [True, False])
+def test_repeats_itself_exactly(evaluators, greedy):
+    fly = evaluators(2, greedy)
+    jax.tree.map(np.testing.assert_array_equal, fly(jnp.zeros(15)), fly(jnp.zeros(15)))
+
+
+def test_drawn_actions_fly_otherwise_than_greedy_ones(evaluators, flights):
+    sampled = evaluators(2, False)(jnp.zeros(15))
+    np.testing.assert_array_equal(sampled.config_id, flights.config_id)
+    assert np.all(np.any(sampled.paths[:, -1] != flights.paths[:, -1], axis=1))
+
+
+def test_a_learner_so_sure_of_itself_draws_what_greedy_takes(evaluators):
+    sure = jnp.full(15, -200.0).at[12].set(200.0)
+    drawn, greedy = evaluators(2, False)(sure), evaluators(2, True)(sure)
+    np.testing.assert_allclose(drawn.paths, greedy.paths, atol=1e-3)
+
+
+@pytest.mark.parametrize(("num_configs", "episodes"), [(20, 200), (20, 50), (7, 3), (1, 5), (24, 1)])
+def test_even_draw_is_even_and_its_own_again(num_configs, episodes):
+    ids = even_draw(num_configs, episodes, seed=3)
+    counts = np.bincount(ids, minlength=num_configs)
+    assert len(ids) == episodes and len(counts) == num_configs
+    assert counts.max() - counts.min() <= 1
+    np.testing.assert_array_equal(ids, even_draw(num_configs, episodes, seed=3))
+
+
+def test_what_remains_of_an_even_draw_goes_to_others_with_another_seed():
+    rests = {tuple(np.flatnonzero(np.bincount(even_draw(20, 50, seed)) == 3)) for seed in range(20)}
+    assert len(rests) > 15 and all(len(rest) == 10 for rest in rests)
+    assert {row for rest in rests for row in rest} == set(range(20))
+
+
+def test_goal_ratios_equal_pandas():
+    draw = np.random.default_rng(0)
+    config_id, goal = draw.choice([0, 1, 2, 4, 7], 60), draw.random(60) < 0.6
+    flights = Flights(config_id, goal, None, None, None)
+    expected = pd.Series(goal).groupby(config_id).mean().reindex(range(9))
+    np.testing.assert_allclose(goal_ratios(flights, 9), expected)
+    assert np.isnan(expected[[3, 5, 6, 8]]).all()
+
+
+def test_ppos_policy_takes_the_likeliest_action_or_draws_by_the_logits(env):
+    settings = ppo.PPOSettings(num_envs=1, network=NetworkSettings(hidden=(8,)))
+    agent = ppo.make(env, env.configurations, pecjax.curriculum.uniform(20), settings)
+    learner = jax.jit(agent.init)(jax.random.key(0)).learner
+    bias = jnp.linspace(-2, 1, 15)
+    params = jax.tree.map(jnp.zeros_like, learner.params)
+    params["params"]["actor"]["Dense_1"]["bias"] = bias
+    learner = learner._replace(params=params)
+    obs = {"depth": jnp.ones((12, 16)), "goal": jnp.ones(2)}
+    keys = jax.random.split(jax.random.key(1), 20_000)
+    drawn = jax.jit(jax.vmap(agent.policy(learner), in_axes=(None, 0)))(obs, keys)
+    ratios = np.bincount(drawn, minlength=15) / len(keys)
+    expected = np.asarray(jax.nn.softmax(bias))
+    assert np.all(np.abs(ratios - expected) < 5 * np.sqrt(expected / len(keys)))
+    assert agent.policy(learner, greedy=True)(obs, keys[0]) == 14

@@ -1,0 +1,238 @@
+import brax.envs
+import jax
+import numpy as np
+import pytest
+from brax.envs.wrappers import training
+from jax import numpy as jnp
+from scipy import stats
+
+import pecjax
+from pecjax.world.rotations import heading, quaternion_to_matrix
+
+STAND, SPIN_LEFT, AHEAD, CIRCLE = 2, 4, 12, 9
+ENDINGS = ("goal", "collision", "timeout")
+
+
+def config(start, goal):
+    return pecjax.Configurations(jnp.array(start, jnp.float32), jnp.array(goal, jnp.float32))
+
+
+def begin(env, start, goal, looking=0.0):
+    return env.observe(env.place(config(start, goal), jnp.float32(looking)))
+
+
+def fly(step, state, actions):
+    """The states after each action, to the end of the episode."""
+    states = []
+    for action in actions:
+        state = step(state, jnp.int32(action))
+        states.append(state)
+        if state.done:
+            break
+    return states
+
+
+def rewards(states):
+    return [float(state.reward) for state in states]
+
+
+def ending(state):
+    return [name for name in ENDINGS if state.metrics[name]]
+
+
+def signature(tree):
+    return jax.tree.map(lambda x: (x.shape, x.dtype), tree)
+
+
+@pytest.fixture(scope="module")
+def fresh(env):
+    return jax.jit(env.reset)(jax.random.PRNGKey(0))
+
+
+def test_sizes_are_those_of_the_observation_and_the_actions(env, fresh):
+    assert jax.tree.map(jnp.shape, fresh.obs) == env.observation_size == {"depth": (12, 16), "goal": (2,)}
+    assert env.action_size == 15
+    assert isinstance(env, brax.envs.Env)
+
+
+def test_a_step_keeps_structure_shapes_and_types(fresh, step):
+    assert signature(fresh) == signature(step(fresh, jnp.int32(AHEAD)))
+
+
+def test_a_second_step_compiles_nothing_new(env, fresh):
+    # Weak types, which a dtype does not show, would compile the step twice.
+    seen = []
+    step = jax.jit(lambda state, action: seen.append(state) or env.step(state, action))
+    jax.eval_shape(lambda s, a: step(step(s, a), a), fresh, jnp.int32(AHEAD))
+    assert len(seen) == 1
+
+
+@pytest.fixture(scope="module")
+def fly_batch(env):
+    """(states, actions (30, 15)) -> the states after them, in one program."""
+
+    def scan(states, actions):
+        return jax.lax.scan(lambda s, a: (jax.vmap(env.step)(s, a), None), states, actions)[0]
+
+    return jax.jit(scan)
+
+
+def test_vmap_and_scan_agree_with_single_steps(env, step, fly_batch):
+    first = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.PRNGKey(1), 15))
+    actions = np.random.default_rng(0).integers(0, 15, (30, 15)).astype(np.int32)
+    batch = fly_batch(first, actions)
+    for n in range(4):
+        state = jax.tree.map(lambda leaf, n=n: leaf[n], first)
+        for action in actions[:, n]:
+            state = step(state, action)
+        same = jax.tree.map(lambda leaf, n=n: leaf[n], batch)
+        # float32 in another order of operations, over 150 physics steps; a ray at an edge may switch walls.
+        assert np.mean(np.abs(state.obs["depth"] - same.obs["depth"]) > 1e-3) < 0.03
+        state, same = (s.replace(obs=s.obs["goal"]) for s in (state, same))
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-3), state, same)
+        assert state.info["step_count"] == 30
+
+
+def test_runs_under_brax_wrappers_with_raw_keys(env):
+    wrapped = training.VmapWrapper(training.EpisodeWrapper(env, episode_length=5, action_repeat=1))
+    state = jax.jit(wrapped.reset)(jax.random.split(jax.random.PRNGKey(2), 4))
+    assert state.obs["depth"].shape == (4, 12, 16)
+    step = jax.jit(wrapped.step)
+    for _ in range(5):
+        state = step(state, jnp.full(4, STAND))
+    np.testing.assert_array_equal(state.done, np.ones(4))
+    np.testing.assert_array_equal(state.info["truncation"], np.ones(4))
+
+
+def test_actions_are_speed_by_yaw_rate(env, fly_batch):
+    """What every action has come to after 3 s; what it flies through on the way is of no matter."""
+    first = jax.tree.map(lambda leaf: jnp.stack([leaf] * 15), begin(env, (0, -1.5), (5, 5)))
+    drone = fly_batch(first, np.tile(np.arange(15, dtype=np.int32), (30, 1))).pipeline_state
+    forward = np.linalg.norm(drone.qvel[:, :2], axis=1)
+    np.testing.assert_allclose(forward, np.repeat([0, 1, 2], 5), atol=0.03)
+    expected = np.tile(np.array([-2, -1, 0, 1, 2]) * np.pi / 4, 3)
+    # The rates are the drone's own, and it leans into turns: what counts is the turn about the vertical.
+    upright = jax.vmap(quaternion_to_matrix)(drone.qpos[:, 3:])[:, 2]
+    np.testing.assert_allclose(jnp.sum(upright * drone.qvel[:, 3:], axis=1), expected, atol=0.03)
+    # 12 goes straight along the heading, 2 stands still.
+    np.testing.assert_allclose(drone.qpos[AHEAD, 1], -1.5, atol=1e-3)
+    np.testing.assert_allclose(drone.qpos[STAND, :3], (0, -1.5, 1.2), atol=1e-3)
+
+
+def test_reaching_the_goal_pays_2000_once(env, step):
+    states = fly(step, begin(env, (0, -2), (5, -2)), [AHEAD] * 60)
+    assert rewards(states) == [-1.0] * (len(states) - 1) + [1999.0]
+    assert ending(states[-1]) == ["goal"] and states[-1].done == 1
+    distances = [float(s.obs["goal"][0]) for s in states]
+    assert distances[-1] < 0.5 <= distances[-2]
+    assert 22 < len(states) < 32  # 4.5 m at 2 m/s, and half a second to gather speed
+
+
+def test_hitting_a_wall_costs_1000_once(env, step):
+    states = fly(step, begin(env, (5, -2), (0, -2)), [AHEAD] * 60)
+    assert rewards(states) == [-1.0] * (len(states) - 1) + [-1001.0]
+    assert ending(states[-1]) == ["collision"] and states[-1].done == 1
+    along = [float(s.pipeline_state.qpos[0]) for s in states]
+    # The wall's face is at 7.9 and the drone's radius 0.25.
+    assert along[-2] < 7.65 <= along[-1]
+
+
+def test_flying_past_a_wall_edge_within_a_step_is_a_collision_even_at_the_goal(env, step):
+    # The goal's circle reaches the wall: at 2 m/s the drone enters it before it hits.
+    states = fly(step, begin(env, (5, -2), (7.9, -2)), [AHEAD] * 60)
+    assert ending(states[-1]) == ["goal"]
+    # Where both happen in the same step the collision counts, and alone.
+    touching = begin(env, (7.7, -2), (7.6, -2))
+    state = step(touching, jnp.int32(STAND))
+    assert ending(state) == ["collision"] and state.reward == -1001
+
+
+def test_the_thousandth_step_ends_the_episode(env, step):
+    # Round and round on a circle of 0.64 m, so that standing costs nothing.
+    states = fly(step, begin(env, (0, -2), (5, 5)), [CIRCLE] * 1001)
+    assert len(states) == 1000
+    assert rewards(states) == [-1.0] * 999 + [-1001.0]
+    assert ending(states[-1]) == ["timeout"] and states[-1].done == 1
+
+
+def test_the_step_limit_is_a_setting_and_the_goal_takes_precedence(scene):
+    quick = pecjax.RoomsNavigation(scene, settings=pecjax.NavigationSettings(max_steps=3))
+    step = jax.jit(quick.step)
+    assert rewards(fly(step, begin(quick, (0, -2), (5, -2)), [AHEAD] * 5)) == [-1, -1, -1001]
+    first = begin(quick, (0, -2), (0.52, -2))
+    assert rewards(fly(step, first, [STAND] * 2)) == [-1, -1]
+    states = fly(step, first, [AHEAD] * 3)
+    assert ending(states[-1]) == ["goal"] and not states[-1].metrics["timeout"]
+
+
+@pytest.mark.parametrize("standing", [STAND, SPIN_LEFT])
+def test_standing_costs_3_more_from_the_eleventh_action_in_a_row(env, step, standing):
+    first = begin(env, (0, -2), (5, 5))
+    flight = [standing] * 13 + [CIRCLE] + [standing] * 11
+    expected = [-1] * 10 + [-4] * 3 + [-1] + [-1] * 10 + [-4]
+    assert rewards(fly(step, first, flight)) == expected
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "looking", "bearing"),
+    [
+        ((0, -2), (5, -2), 0.0, 0.0),
+        ((0, -2), (0, 0), 0.0, np.pi / 2),  # on the left
+        ((0, -2), (0, -3), 0.0, -np.pi / 2),  # on the right
+        ((0, -2), (5, -2), 0.3, -0.3),
+        ((0, -2), (-3, -2.1), -3.0, 3 - np.pi + np.arctan(0.1 / 3)),  # across the seam of the angle
+        ((0, -2), (-3, -1.9), 3.0, np.pi - 3 - np.arctan(0.1 / 3)),
+    ],
+)
+def test_distance_and_bearing_of_the_goal(env, start, goal, looking, bearing):
+    seen = begin(env, start, goal, looking).obs["goal"]
+    np.testing.assert_allclose(seen, (np.linalg.norm(np.subtract(goal, start)), bearing), atol=1e-5)
+
+
+def test_bearings_stay_within_half_a_turn(env):
+    looking = np.linspace(-np.pi, np.pi, 721, dtype=np.float32)
+    place = jax.jit(jax.vmap(lambda h: env.observe(env.place(config((0, -2), (-3, -2)), h)).obs["goal"][1]))
+    bearing = np.asarray(place(looking))
+    assert np.all(np.abs(bearing) <= np.float32(np.pi))
+    np.testing.assert_allclose(np.exp(1j * bearing), np.exp(1j * (np.pi - looking)), atol=1e-5)
+
+
+def test_turning_left_takes_the_goal_to_the_right(env, step):
+    states = fly(step, begin(env, (0, -2), (5, -2)), [SPIN_LEFT] * 5)
+    bearings = [float(s.obs["goal"][1]) for s in states]
+    assert np.all(np.diff(bearings) < 0) and bearings[-1] < -0.4
+
+
+def test_reset_draws_every_row_and_every_heading_alike(env):
+    keys = jax.random.split(jax.random.PRNGKey(3), 4000)
+    state = jax.jit(jax.vmap(env.reset))(keys)
+    table = pecjax.COORDINATE_SET_1
+    starts, goals = state.info["config"]
+    row = np.argmax(
+        np.all(starts[:, None] == table.start, axis=-1) & np.all(goals[:, None] == table.goal, axis=-1),
+        axis=1,
+    )
+    np.testing.assert_array_equal(table.goal[row], goals)
+    assert stats.chisquare(np.bincount(row, minlength=20)).pvalue > 1e-3
+    looking = np.asarray(jax.vmap(heading)(state.pipeline_state.qpos[:, 3:]))
+    assert stats.kstest(looking, stats.uniform(-np.pi, 2 * np.pi).cdf).pvalue > 1e-3
+    # Headings say nothing about rows.
+    octant = np.digitize(looking, np.linspace(-np.pi, np.pi, 9)[1:-1])
+    together = np.histogram2d(row, octant, bins=(20, 8))[0]
+    assert stats.chi2_contingency(together).pvalue > 1e-3
+    np.testing.assert_array_equal(state.pipeline_state.qpos[:, :2], starts)
+    np.testing.assert_allclose(state.pipeline_state.qpos[:, 2], 1.2)
+    assert not np.any(state.pipeline_state.qvel)
+
+
+def test_reset_to_starts_in_the_configuration_given(env):
+    row = jax.tree.map(lambda leaf: jnp.asarray(leaf)[7], pecjax.COORDINATE_SET_2)
+    state = env.reset_to(row, jax.random.PRNGKey(0))
+    np.testing.assert_array_equal(state.pipeline_state.qpos[:2], (5, -2))
+    np.testing.assert_array_equal(state.info["config"].goal, (0, 5))
+    assert state.done == 0 and state.info["step_count"] == 0
+
+
+def test_control_period_must_be_a_multiple_of_the_physics_step(scene):
+    with pytest.raises(pecjax.InputError, match=r"0\.05 s is not a multiple"):
+        pecjax.RoomsNavigation(scene, settings=pecjax.NavigationSettings(control_period=0.05))

@@ -1,0 +1,140 @@
+"""Shapes, initial weights, and the wall between actor and critic."""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pecjax.agents.networks import ActorCritic, NetworkSettings, encode
+
+ACTIONS, FAR = 15, 10.0
+MLP = NetworkSettings()
+NORMC = NetworkSettings(hidden=(256, 256), initializer="normc")
+CNN = NetworkSettings(encoder="cnn", hidden=(32,))
+
+
+def observations(*batch: int, height: int = 12, width: int = 16, seed: int = 0):
+    draw = np.random.default_rng(seed)
+    depth = draw.uniform(0.1, FAR, (*batch, height, width))
+    goal = np.stack([draw.uniform(0, 18, batch), draw.uniform(-np.pi, np.pi, batch)], axis=-1)
+    return {"depth": jnp.asarray(depth, jnp.float32), "goal": jnp.asarray(goal, jnp.float32)}
+
+
+@cache
+def made(settings: NetworkSettings, height: int = 12, width: int = 16):
+    network = ActorCritic(settings, ACTIONS, FAR)
+    params = jax.jit(network.init)(jax.random.key(0), observations(1, height=height, width=width))
+    return network, params, jax.jit(network.apply)
+
+
+@pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
+@pytest.mark.parametrize(
+    ("settings", "height", "width"), [(MLP, 12, 16), (CNN, 48, 64)], ids=["mlp 16x12", "cnn 64x48"]
+)
+def test_shapes_keep_the_batch_axes(settings, height, width, batch):
+    _, params, apply = made(settings, height, width)
+    logits, value = apply(params, observations(*batch, height=height, width=width))
+    assert logits.shape == (*batch, ACTIONS)
+    assert value.shape == batch
+    assert np.all(np.isfinite(logits)) and np.all(np.isfinite(value))
+
+
+@pytest.mark.parametrize(
+    ("settings", "height", "width"), [(MLP, 12, 16), (CNN, 48, 64)], ids=["mlp 16x12", "cnn 64x48"]
+)
+def test_a_batch_is_its_rows_one_by_one(settings, height, width):
+    obs = observations(3, height=height, width=width)
+    _, params, apply = made(settings, height, width)
+    together = apply(params, obs)
+    for row in range(3):
+        alone = apply(params, jax.tree.map(lambda leaf, row=row: leaf[row], obs))
+        jax.tree.map(lambda a, b, row=row: np.testing.assert_allclose(a[row], b, atol=1e-6), together, alone)
+
+
+def kernels(params, tower: str) -> list[np.ndarray]:
+    """Of the dense layers, the first one first."""
+    layers = params["params"][tower]
+    return [np.asarray(layers[name]["kernel"]) for name in sorted(layers) if name.startswith("Dense")]
+
+
+@pytest.mark.parametrize("tower", ["actor", "critic"])
+def test_normc_columns_have_unit_length_and_outputs_a_hundredth(tower):
+    _, params, _ = made(NORMC)
+    *hidden, output = kernels(params, tower)
+    assert [kernel.shape for kernel in hidden] == [(16 * 12 + 3, 256), (256, 256)]
+    for kernel in hidden:
+        np.testing.assert_allclose(np.linalg.norm(kernel, axis=0), 1.0, rtol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(output, axis=0), 0.01, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("tower", "output_gain"), [("actor", 0.01), ("critic", 1.0)])
+def test_orthogonal_gains(tower, output_gain):
+    _, params, _ = made(MLP)
+    *hidden, output = kernels(params, tower)
+    for kernel, gain in [(kernel, np.sqrt(2)) for kernel in hidden] + [(output, output_gain)]:
+        gram = kernel.T @ kernel
+        np.testing.assert_allclose(gram, gain**2 * np.eye(len(gram)), atol=1e-5 * gain**2)
+
+
+@pytest.mark.parametrize("settings", [MLP, NORMC], ids=["orthogonal", "normc"])
+def test_biases_start_at_zero(settings):
+    _, params, _ = made(settings)
+    biases = [leaf for path, leaf in jax.tree.leaves_with_path(params) if "bias" in str(path[-1])]
+    assert len(biases) == 6
+    assert not any(np.any(bias) for bias in biases)
+
+
+@pytest.mark.parametrize(
+    ("settings", "height", "width"),
+    [(MLP, 12, 16), (NORMC, 12, 16), (CNN, 48, 64)],
+    ids=["mlp", "normc", "cnn"],
+)
+def test_actor_and_critic_share_no_parameter(settings, height, width):
+    obs = observations(4, height=height, width=width)
+    network, params, _ = made(settings, height, width)
+
+    @jax.jit
+    def gradients(params):
+        """Of a function of the logits, and of one of the value."""
+        outputs, pull_back = jax.vjp(lambda p: network.apply(p, obs), params)
+        logits, value = jax.tree.map(jnp.cos, outputs)
+        return pull_back((logits, 0 * value)), pull_back((0 * logits, value))
+
+    assert set(params["params"]) == {"actor", "critic"}
+    towers = (("actor", "critic"), ("critic", "actor"))
+    for gradient, (mine, other) in zip(gradients(params), towers, strict=True):
+        ((_, of),) = gradient[0].items()
+        assert not any(np.any(leaf) for leaf in jax.tree.leaves(of[other]))
+        assert all(np.any(leaf) for leaf in jax.tree.leaves(of[mine]))
+
+
+@pytest.mark.parametrize(
+    ("settings", "height", "width"),
+    [(MLP, 12, 16), (NORMC, 12, 16), (CNN, 48, 64)],
+    ids=["mlp", "normc", "cnn"],
+)
+def test_every_action_is_nearly_as_likely_at_first(settings, height, width):
+    obs = observations(64, height=height, width=width)
+    _, params, apply = made(settings, height, width)
+    probabilities = jax.nn.softmax(apply(params, obs)[0])
+    np.testing.assert_allclose(probabilities, 1 / ACTIONS, rtol=0.15)
+
+
+def test_encode_scales_depth_and_distance_and_turns_the_bearing_into_a_point():
+    obs = {
+        "depth": jnp.array([[0.1, 5.0], [10.0, 2.5]]),
+        "goal": jnp.array([5.0, np.pi / 2]),
+    }
+    image, goal = encode(obs, far=10.0)
+    np.testing.assert_allclose(image, [[0.01, 0.5], [1.0, 0.25]], rtol=1e-6)
+    np.testing.assert_allclose(goal, [0.5, 1.0, 0.0], atol=1e-6)
+
+
+def test_encode_has_no_jump_behind_the_drone():
+    def at(bearing: float):
+        return encode({"depth": jnp.ones((1, 1)), "goal": jnp.array([1.0, bearing])}, far=10.0)[1]
+
+    np.testing.assert_allclose(at(np.pi - 1e-4), at(-np.pi + 1e-4), atol=3e-4)
+    assert np.abs(at(0.5) - at(-0.5)).max() > 0.9  # while left and right are told apart

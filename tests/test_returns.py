@@ -1,0 +1,83 @@
+"""Advantages against rlax and against the linear filter that RLlib computes them with."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import rlax
+from scipy.signal import lfilter
+
+from pecjax.agents.returns import generalized_advantage
+
+STEPS, ENVS = 37, 5
+
+
+def batch(seed: int, done_ratio: float):
+    draw = np.random.default_rng(seed)
+    rewards = draw.normal(0, 100, (STEPS, ENVS)).astype(np.float32)
+    values = draw.normal(0, 50, (STEPS + 1, ENVS)).astype(np.float32)
+    dones = (draw.random((STEPS, ENVS)) < done_ratio).astype(np.float32)
+    return rewards, values, dones
+
+
+def of_rlax(rewards, values, dones, discount, gae_lambda):
+    one_env = rlax.truncated_generalized_advantage_estimation
+    return jax.vmap(one_env, in_axes=(1, 1, None, 1), out_axes=1)(
+        jnp.asarray(rewards), jnp.asarray(discount * (1 - dones)), gae_lambda, jnp.asarray(values)
+    )
+
+
+@pytest.mark.parametrize("ends", ["none", "inside", "last step", "every step"])
+@pytest.mark.parametrize(("discount", "gae_lambda"), [(0.99, 0.95), (0.9, 1.0), (0.99, 0.0), (1.0, 0.5)])
+def test_equals_rlax(ends, discount, gae_lambda):
+    rewards, values, dones = batch(seed=1, done_ratio=0.15 if ends == "inside" else 0.0)
+    if ends == "last step":
+        dones[-1] = 1
+    if ends == "every step":
+        dones[:] = 1
+    ours = generalized_advantage(rewards, values[:-1], dones, values[-1], discount, gae_lambda)
+    theirs = of_rlax(rewards, values, dones, discount, gae_lambda)
+    # Both are float32 recursions over numbers of size 1e3.
+    np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-3)
+
+
+def test_equals_the_filter_of_rllib_where_nothing_ends():
+    rewards, values, dones = batch(seed=2, done_ratio=0.0)
+    ours = generalized_advantage(rewards, values[:-1], dones, values[-1], 0.99, 0.95)
+    deltas = rewards.astype(np.float64) + 0.99 * values[1:] - values[:-1]
+    filtered = lfilter([1], [1, -0.99 * 0.95], deltas[::-1], axis=0)[::-1]
+    np.testing.assert_allclose(ours, filtered, rtol=1e-5, atol=1e-3)
+
+
+def test_an_ending_pays_its_reward_and_nothing_after_it():
+    """The step limit is a done like any other: no value is bootstrapped over it."""
+    rewards, values, dones = batch(seed=3, done_ratio=0.0)
+    dones[10] = 1
+    before = generalized_advantage(rewards, values[:-1], dones, values[-1], 0.99, 0.95)
+    np.testing.assert_allclose(before[10], rewards[10] - values[10], rtol=1e-6)
+
+    later_rewards, later_values = rewards.copy(), values.copy()
+    later_rewards[11:] += 1e4
+    later_values[11:] -= 1e4
+    after = generalized_advantage(later_rewards, later_values[:-1], dones, later_values[-1], 0.99, 0.95)
+    np.testing.assert_array_equal(before[:11], after[:11])
+    assert np.all(before[11:] != after[11:])
+
+
+def test_the_step_limit_of_the_environment_is_such_an_ending(env):
+    """One step before the limit, in the open, standing still: done, and a failure."""
+    config = type(env.configurations)(*(jnp.asarray(leaf)[0] for leaf in env.configurations))
+    state = env.place(config, jnp.zeros(()))
+    counted = state.info | {"step_count": jnp.int32(env.settings.max_steps - 1)}
+    last = jax.jit(env.advance)(state.replace(info=counted), jnp.int32(2))
+    assert (last.done, last.metrics["timeout"], last.metrics["goal"]) == (1, 1, 0)
+    value = np.float32(123.0)
+    advantage = generalized_advantage(
+        last.reward[None, None],
+        jnp.full((1, 1), value),
+        last.done[None, None],
+        jnp.full(1, 1e6),  # would show if it were bootstrapped
+        0.99,
+        0.95,
+    )
+    np.testing.assert_allclose(advantage[0, 0], -1001 - value)

@@ -1,0 +1,246 @@
+"""Whole runs, tiny ones: what they leave in their folder, and that it is true."""
+
+import json
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pandas as pd
+import pytest
+from jax.experimental.compilation_cache.compilation_cache import reset_cache
+from matplotlib.image import imread
+
+import pecjax
+from pecjax.agents.networks import NetworkSettings
+from pecjax.experiments import figures, training
+from pecjax.experiments.checkpoint import Checkpoints
+from pecjax.experiments.evaluation import goal_ratios
+from pecjax.experiments.presets import PRESETS, RunSettings
+from pecjax.experiments.run_directory import RunDirectory
+from pecjax.world.scene import load_scene
+
+FAST = PRESETS["fast"]
+TINY = replace(
+    FAST,
+    ppo=replace(FAST.ppo, num_envs=8, num_steps=64, num_minibatches=2, network=NetworkSettings(hidden=(8,))),
+    iterations=5,
+    evaluate_every=2,
+    evaluation_episodes=6,
+    configurations_every=2,
+)
+PATHS = "-4.5, -1, -3.5, -1\n\n# a comment\n0 0 1 0  # another\n2.0,-3.0,2.75,-6.5\n"
+
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Where runs go; what is compiled for one of them is kept for the next."""
+    folder = tmp_path_factory.mktemp("runs")
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(folder / "compiled"))
+    reset_cache()  # JAX asks only once whether there is one
+    yield folder
+    jax.config.update("jax_compilation_cache_dir", before)
+    reset_cache()
+
+
+@pytest.fixture(scope="module")
+def run(folders):
+    """A finished run and what `train` said of it."""
+    summary = training.train(TINY, folders / "run", devices=2)
+    return folders / "run", summary
+
+
+@pytest.fixture(scope="module")
+def tables(run):
+    names = ("metrics", "configurations", "evaluation", "trajectories")
+    return {name: pd.read_csv(run[0] / f"{name}.csv") for name in names}
+
+
+def test_every_file_of_the_run_directory_is_there_with_its_columns(run, tables):
+    folder, _ = run
+    there = {path.name for path in folder.iterdir()}
+    expected = {"config.json", "metrics.csv", "configurations.csv", "evaluation.csv", "checkpoints"}
+    assert expected | {"figures", "summary.json"} <= there
+    leading = ["iteration", "env_steps", "seconds", "goal_ratio", "episodes", "mean_return"]
+    assert list(tables["metrics"].columns[:6]) == leading
+    columns = ["iteration", "config", "trials", "failures", "probability"]
+    assert list(tables["configurations"].columns) == columns
+    leading = ["iteration", "env_steps", "goal_ratio", "mean_return"]
+    assert list(tables["evaluation"].columns) == leading + [f"c{row}" for row in range(20)]
+
+
+def test_rows_come_when_they_should_and_count_their_steps(tables):
+    metrics, evaluation = tables["metrics"], tables["evaluation"]
+    assert metrics.iteration.tolist() == [1, 2, 3, 4, 5]
+    assert metrics.env_steps.tolist() == [512, 1024, 1536, 2048, 2560]
+    assert metrics.seconds.is_monotonic_increasing and metrics.seconds.iloc[0] > 0
+    assert evaluation.iteration.tolist() == [2, 4, 5]
+    assert evaluation.env_steps.tolist() == [1024, 2048, 2560]
+    # The first, every second, and the last.
+    assert sorted(set(tables["configurations"].iteration)) == [1, 2, 4, 5]
+    assert np.all(tables["configurations"].groupby("iteration").config.apply(list).map(len) == 20)
+
+
+def test_counts_of_configurations_add_up_to_the_metrics(tables):
+    metrics = tables["metrics"].set_index("iteration")
+    totals = tables["configurations"].groupby("iteration")[["trials", "failures"]].sum()
+    episodes = metrics.episodes.cumsum()
+    assert episodes.iloc[-1] > 20
+    np.testing.assert_array_equal(totals.trials, episodes.loc[totals.index])
+    failures = (metrics.episodes * (1 - metrics.goal_ratio.fillna(0))).cumsum()
+    np.testing.assert_allclose(totals.failures, failures.loc[totals.index], atol=1e-3)
+    # An episode's mean length, times their number, cannot exceed the steps flown.
+    assert np.all((metrics.episodes * metrics.mean_length.fillna(0)).cumsum() <= metrics.env_steps)
+
+
+def test_probabilities_obey_equations_1_and_2(tables):
+    for _, rows in tables["configurations"].groupby("iteration"):
+        tried = rows.trials > 0
+        priority = np.where(tried, rows.failures / rows.trials.where(tried, 1) + TINY.alpha, 1.0)
+        np.testing.assert_allclose(rows.probability, priority / priority.sum(), rtol=2e-6)
+        np.testing.assert_allclose(rows.probability.sum(), 1, rtol=1e-6)
+    assert rows.probability.nunique() > 1
+
+
+def test_config_json_reads_back_and_names_what_a_figure_needs(run):
+    folder, _ = run
+    assert RunDirectory(folder).settings() == TINY
+    config = json.loads((folder / "config.json").read_text())
+    assert {"settings", "versions", "devices", "git_commit"} <= set(config)
+    assert config["settings"]["seed"] == 0
+    assert config["versions"]["jax"] == jax.__version__
+    assert config["devices"]["used"] == 2
+
+
+def test_summary_says_what_the_tables_say(run, tables):
+    folder, summary = run
+    assert json.loads((folder / "summary.json").read_text()) == summary
+    assert summary["iterations"] == 5 and summary["env_steps"] == 2560
+    last = tables["evaluation"].iloc[-1]
+    np.testing.assert_allclose(summary["uniform_evaluation"]["goal_ratio"], last.goal_ratio, rtol=1e-6)
+    np.testing.assert_allclose(summary["uniform_evaluation"]["mean_return"], last.mean_return, rtol=1e-6)
+    assert summary["seconds"] >= tables["metrics"].seconds.iloc[-1] - 0.01
+
+
+def test_a_checkpoint_flies_the_evaluation_that_was_written_down(run, tables):
+    folder, _ = run
+    directory = RunDirectory(folder)
+    again = training.build(TINY, load_scene(directory.scene_path), directory.table(), num_devices=2)
+    like = training.abstract_learner(again)
+    checkpoints = Checkpoints(folder)
+    assert checkpoints.iterations() == [2, 4, 5]
+    fly = training.compile_evaluator(again, TINY, like)
+    for iteration in (2, None):
+        found, learner = checkpoints.load_learner(like, iteration)
+        assert found == (iteration or 5)
+        flights = fly(learner)
+        row = tables["evaluation"].set_index("iteration").loc[found]
+        np.testing.assert_allclose(flights.goal.mean(), row.goal_ratio, rtol=1e-6)
+        np.testing.assert_allclose(flights.returns.mean(), row.mean_return, rtol=1e-6)
+        np.testing.assert_allclose(goal_ratios(flights, 20), row.iloc[3:].astype(float), rtol=1e-6)
+    with pytest.raises(pecjax.InputError, match="no checkpoint 3; there are 2, 4, 5"):
+        checkpoints.load_learner(like, 3)
+
+
+def test_trajectories_lead_from_start_towards_the_written_end(tables):
+    table = pecjax.COORDINATE_SET_1
+    for _, path in tables["trajectories"].groupby("episode"):
+        config = path.config.iloc[0]
+        np.testing.assert_allclose(path[["x", "y"]].iloc[0], table.start[config], atol=1e-6)
+        assert path.step.tolist() == list(range(len(path)))
+        distance = np.linalg.norm(path[["x", "y"]].iloc[-1] - table.goal[config])
+        assert (distance < 0.5) == bool(path.goal.iloc[0])
+
+
+def test_figures_are_drawn_and_show_something(run):
+    paths = figures.draw_run(run[0])
+    assert {path.suffix for path in paths} == {".png", ".svg"}
+    assert len(paths) == len(set(paths)) >= 8
+    for path in paths:
+        assert path.parent == run[0] / "figures" and path.stat().st_size > 5000
+        if path.suffix == ".png":
+            pixels = imread(path)
+            assert min(pixels.shape[:2]) > 300 and 0.01 < np.std(pixels) < 0.6
+        else:
+            assert path.read_text().rstrip().endswith("</svg>")
+    before = {path: path.read_bytes() for path in paths if path.suffix == ".svg"}
+    figures.draw_run(run[0])
+    assert all(path.read_bytes() == content for path, content in before.items())
+
+
+def test_a_seed_says_it_all(run, folders):
+    training.train(TINY, folders / "again", devices=2)
+    for name in ("metrics", "configurations", "evaluation", "trajectories"):
+        one, two = (pd.read_csv(f / f"{name}.csv") for f in (run[0], folders / "again"))
+        pd.testing.assert_frame_equal(
+            one.drop(columns="seconds", errors="ignore"),
+            two.drop(columns="seconds", errors="ignore"),
+            check_exact=True,
+        )
+    training.train(replace(TINY, seed=1), folders / "other", devices=2)
+    other = pd.read_csv(folders / "other" / "metrics.csv")
+    assert np.any(other.episodes != pd.read_csv(run[0] / "metrics.csv").episodes)
+
+
+@pytest.fixture(scope="module")
+def uniform_run(folders):
+    """Uniform sampling over a coordinates file, on one device."""
+    path = folders / "paths.txt"
+    path.write_text(PATHS)
+    settings = replace(TINY, sampler="uniform", coordinates=str(path), iterations=2, greedy=False)
+    training.train(settings, folders / "uniform", devices=1)
+    return folders / "uniform", settings
+
+
+def test_the_uniform_sampler_and_a_coordinates_file(uniform_run):
+    folder, settings = uniform_run
+    rows = pd.read_csv(folder / "configurations.csv")
+    assert rows.config.tolist() == [0, 1, 2] * 2
+    np.testing.assert_allclose(rows.probability, 1 / 3, rtol=1e-6)
+    metrics = pd.read_csv(folder / "metrics.csv")
+    assert rows.groupby("iteration").trials.sum().tolist() == metrics.episodes.cumsum().tolist()
+    assert isinstance(RunDirectory(folder).settings(), RunSettings)
+    assert RunDirectory(folder).settings() == settings
+    figures.draw_run(folder)
+
+
+def test_a_run_keeps_its_map_and_its_coordinates(uniform_run):
+    """So that it can be evaluated after the files it was given are gone."""
+    folder, settings = uniform_run
+    table = RunDirectory(folder).table()
+    np.testing.assert_array_equal(table.start, np.float32([[-4.5, -1], [0, 0], [2, -3]]))
+    np.testing.assert_array_equal(table.goal, np.float32([[-3.5, -1], [1, 0], [2.75, -6.5]]))
+    kept, given = load_scene(RunDirectory(folder).scene_path), load_scene(settings.scene)
+    for name in ("wall_lower", "wall_upper", "drone_radius", "mass", "inertia"):
+        np.testing.assert_allclose(getattr(kept, name), getattr(given, name), rtol=1e-6)
+    np.testing.assert_allclose(kept.rotors.wrench, given.rotors.wrench, rtol=1e-6)
+    assert kept.camera.height == given.camera.height and kept.camera.fovy == given.camera.fovy
+
+
+def test_a_map_with_files_of_its_own_is_kept_whole_or_refused(tmp_path, edited_rooms, monkeypatch):
+    mesh = '<asset><mesh name="m" file="m.obj"/></asset><worldbody>'
+    shown = '<geom type="mesh" mesh="m" contype="0" conaffinity="0"/><body name="drone"'
+    path = edited_rooms(("<worldbody>", mesh), ('<body name="drone"', shown))
+    (path.parent / "meshes").mkdir()
+    path = path.rename(path.parent / "meshes" / "rooms.xml")
+    (path.parent / "m.obj").write_text(TETRAHEDRON)
+    # Everything up to the first iteration is what this is about.
+    monkeypatch.setattr(training, "_loop", lambda settings, run, *_: {"walls": run.env.scene.wall_names})
+    try:
+        assert len(training.train(replace(TINY, scene=str(path)), tmp_path / "run")["walls"]) == 14
+    except pecjax.InputError:
+        assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_is_not_written_twice(run, folders):
+    before = sorted(path.name for path in run[0].iterdir())
+    with pytest.raises(pecjax.InputError, match="holds another run"):
+        training.train(TINY, run[0])
+    assert sorted(path.name for path in run[0].iterdir()) == before
+    (folders / "notes").mkdir()
+    (folders / "notes" / "mine.txt").write_text("keep me")
+    with pytest.raises(pecjax.InputError, match="is not empty"):
+        training.train(TINY, folders / "notes")
+    assert [path.name for path in (folders / "notes").iterdir()] == ["mine.txt"]
