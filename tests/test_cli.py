@@ -57,12 +57,6 @@ def refused(tmp_path, monkeypatch, capsys):
     return attempt
 
 
-def pecjax_process(*args, cwd):
-    return subprocess.run(
-        [sys.executable, "-m", "pecjax.cli", *args], capture_output=True, text=True, cwd=cwd, timeout=120
-    )
-
-
 def test_train_leaves_a_run_and_its_figures(run):
     assert pd.read_csv(run / "metrics.csv").env_steps.tolist() == [256, 512]
     there = {path.suffix for path in (run / "figures").iterdir()}
@@ -123,9 +117,8 @@ def test_every_command_explains_itself(command, capsys):
 
 
 def test_as_a_process_of_its_own(tmp_path):
-    helped = pecjax_process("train", "--help", cwd=tmp_path)
-    assert helped.returncode == 0 and "--iterations" in helped.stdout and helped.stderr == ""
-    refused = pecjax_process("check", "--scene", "nowhere.xml", cwd=tmp_path)
+    command = [sys.executable, "-m", "pecjax.cli", "check", "--scene", "nowhere.xml"]
+    refused = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=120)
     assert refused.returncode == 2 and refused.stdout == ""
     assert refused.stderr == "pecjax: nowhere.xml: no such scene file; give the path of an MJCF file\n"
     assert not os.listdir(tmp_path)
@@ -277,8 +270,8 @@ def test_evaluations_that_cannot_be_flown(run, tmp_path, refused):
     assert "no checkpoint 3; there are 2" in refused("eval", run, "--checkpoint", "3")
     assert "episodes is 0" in refused("eval", run, "--episodes", "0")
     assert "episodes is -2" in refused("eval", run, "--episodes", "-2")
-    assert "seed is -1" in refused("eval", run, "--seed", "-1")
     refused("eval")
+    assert "seed is -1" in refused("eval", run, "--seed", "-1")
 
 
 @pytest.mark.parametrize(

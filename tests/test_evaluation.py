@@ -109,9 +109,9 @@ def test_paths_begin_at_the_start_and_rest_after_the_end(flights):
         assert np.any(path[length] != path[length - 1])  # it came to its end in flight
 
 
-@pytest.mark.parametrize("greedy", [True, False])
-def test_two_devices_fly_the_episodes_of_one(evaluators, greedy):
-    one, two = (evaluators(devices, greedy)(jnp.zeros(15)) for devices in (1, 2))
+def test_two_devices_fly_the_episodes_of_one(evaluators):
+    """With drawn actions; greedy ones, on two devices, equal the plain loop above."""
+    one, two = (evaluators(devices, greedy=False)(jnp.zeros(15)) for devices in (1, 2))
     for name in ("config_id", "goal", "lengths"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name), err_msg=name)
     np.testing.assert_allclose(one.returns, two.returns, rtol=1e-6)

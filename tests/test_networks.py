@@ -15,17 +15,17 @@ NORMC = NetworkSettings(hidden=(256, 256), initializer="normc")
 CNN = NetworkSettings(encoder="cnn", hidden=(32,))
 
 
-def observations(*batch: int, height: int = 12, width: int = 16, seed: int = 0):
+def features(*batch: int, height: int = 12, width: int = 16, seed: int = 0):
     draw = np.random.default_rng(seed)
     depth = draw.uniform(0.1, FAR, (*batch, height, width))
     goal = np.stack([draw.uniform(0, 18, batch), draw.uniform(-np.pi, np.pi, batch)], axis=-1)
-    return {"depth": jnp.asarray(depth, jnp.float32), "goal": jnp.asarray(goal, jnp.float32)}
+    return encode({"depth": jnp.asarray(depth, jnp.float32), "goal": jnp.asarray(goal, jnp.float32)}, FAR)
 
 
 @cache
 def made(settings: NetworkSettings, height: int = 12, width: int = 16):
-    network = ActorCritic(settings, ACTIONS, FAR)
-    params = jax.jit(network.init)(jax.random.key(0), observations(1, height=height, width=width))
+    network = ActorCritic(settings, ACTIONS, (height, width))
+    params = jax.jit(network.init)(jax.random.key(0), features(1, height=height, width=width))
     return network, params, jax.jit(network.apply)
 
 
@@ -35,7 +35,7 @@ def made(settings: NetworkSettings, height: int = 12, width: int = 16):
 )
 def test_shapes_keep_the_batch_axes(settings, height, width, batch):
     _, params, apply = made(settings, height, width)
-    logits, value = apply(params, observations(*batch, height=height, width=width))
+    logits, value = apply(params, features(*batch, height=height, width=width))
     assert logits.shape == (*batch, ACTIONS)
     assert value.shape == batch
     assert np.all(np.isfinite(logits)) and np.all(np.isfinite(value))
@@ -45,7 +45,7 @@ def test_shapes_keep_the_batch_axes(settings, height, width, batch):
     ("settings", "height", "width"), [(MLP, 12, 16), (CNN, 48, 64)], ids=["mlp 16x12", "cnn 64x48"]
 )
 def test_a_batch_is_its_rows_one_by_one(settings, height, width):
-    obs = observations(3, height=height, width=width)
+    obs = features(3, height=height, width=width)
     _, params, apply = made(settings, height, width)
     together = apply(params, obs)
     for row in range(3):
@@ -54,9 +54,10 @@ def test_a_batch_is_its_rows_one_by_one(settings, height, width):
 
 
 def kernels(params, tower: str) -> list[np.ndarray]:
-    """Of the dense layers, the first one first."""
-    layers = params["params"][tower]
-    return [np.asarray(layers[name]["kernel"]) for name in sorted(layers) if name.startswith("Dense")]
+    """Of the dense layers, the first one first; the towers' first layers stand side by side."""
+    layers = params["params"]
+    first = np.split(np.asarray(layers["first"]["kernel"]), 2, axis=1)[tower == "critic"]
+    return [first] + [np.asarray(layers[f"{tower}_{name}"]["kernel"]) for name in ("1", "output")]
 
 
 @pytest.mark.parametrize("tower", ["actor", "critic"])
@@ -82,7 +83,7 @@ def test_orthogonal_gains(tower, output_gain):
 def test_biases_start_at_zero(settings):
     _, params, _ = made(settings)
     biases = [leaf for path, leaf in jax.tree.leaves_with_path(params) if "bias" in str(path[-1])]
-    assert len(biases) == 6
+    assert len(biases) == 5  # of the first layers together, then two for each tower
     assert not any(np.any(bias) for bias in biases)
 
 
@@ -92,7 +93,7 @@ def test_biases_start_at_zero(settings):
     ids=["mlp", "normc", "cnn"],
 )
 def test_actor_and_critic_share_no_parameter(settings, height, width):
-    obs = observations(4, height=height, width=width)
+    obs = features(4, height=height, width=width)
     network, params, _ = made(settings, height, width)
 
     @jax.jit
@@ -102,12 +103,18 @@ def test_actor_and_critic_share_no_parameter(settings, height, width):
         logits, value = jax.tree.map(jnp.cos, outputs)
         return pull_back((logits, 0 * value)), pull_back((0 * logits, value))
 
-    assert set(params["params"]) == {"actor", "critic"}
+    def of_tower(gradient, tower: str) -> list[np.ndarray]:
+        layers = dict(gradient[0]["params"])
+        first = layers.pop("first", {})  # only the mlp has one
+        halves = [np.split(np.asarray(leaf), 2, axis=-1)[tower == "critic"] for leaf in first.values()]
+        return halves + jax.tree.leaves({k: v for k, v in layers.items() if k.startswith(tower)})
+
     towers = (("actor", "critic"), ("critic", "actor"))
     for gradient, (mine, other) in zip(gradients(params), towers, strict=True):
-        ((_, of),) = gradient[0].items()
-        assert not any(np.any(leaf) for leaf in jax.tree.leaves(of[other]))
-        assert all(np.any(leaf) for leaf in jax.tree.leaves(of[mine]))
+        assert not any(np.any(leaf) for leaf in of_tower(gradient, other))
+        assert all(np.any(leaf) for leaf in of_tower(gradient, mine))
+        counted = sum(leaf.size for tower in (mine, other) for leaf in of_tower(gradient, tower))
+        assert counted == sum(leaf.size for leaf in jax.tree.leaves(params))
 
 
 @pytest.mark.parametrize(
@@ -116,7 +123,7 @@ def test_actor_and_critic_share_no_parameter(settings, height, width):
     ids=["mlp", "normc", "cnn"],
 )
 def test_every_action_is_nearly_as_likely_at_first(settings, height, width):
-    obs = observations(64, height=height, width=width)
+    obs = features(64, height=height, width=width)
     _, params, apply = made(settings, height, width)
     probabilities = jax.nn.softmax(apply(params, obs)[0])
     np.testing.assert_allclose(probabilities, 1 / ACTIONS, rtol=0.15)
@@ -127,14 +134,12 @@ def test_encode_scales_depth_and_distance_and_turns_the_bearing_into_a_point():
         "depth": jnp.array([[0.1, 5.0], [10.0, 2.5]]),
         "goal": jnp.array([5.0, np.pi / 2]),
     }
-    image, goal = encode(obs, far=10.0)
-    np.testing.assert_allclose(image, [[0.01, 0.5], [1.0, 0.25]], rtol=1e-6)
-    np.testing.assert_allclose(goal, [0.5, 1.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(encode(obs, far=10.0), [0.01, 0.5, 1.0, 0.25, 0.5, 1.0, 0.0], atol=1e-6)
 
 
 def test_encode_has_no_jump_behind_the_drone():
     def at(bearing: float):
-        return encode({"depth": jnp.ones((1, 1)), "goal": jnp.array([1.0, bearing])}, far=10.0)[1]
+        return encode({"depth": jnp.ones((1, 1)), "goal": jnp.array([1.0, bearing])}, far=10.0)
 
     np.testing.assert_allclose(at(np.pi - 1e-4), at(-np.pi + 1e-4), atol=3e-4)
     assert np.abs(at(0.5) - at(-0.5)).max() > 0.9  # while left and right are told apart

@@ -14,9 +14,9 @@ from scipy.special import log_softmax
 from scipy.stats import entropy as scipy_entropy
 
 import pecjax
-from pecjax.agents import AXIS, fleet_mesh, ppo, shard
+from pecjax.agents import AXIS, fleet_mesh, ppo, ppo_update, shard
 from pecjax.agents.networks import ActorCritic, NetworkSettings
-from pecjax.agents.ppo import Batch, PPOSettings
+from pecjax.agents.ppo_update import Batch, PPOSettings
 from pecjax.agents.rollout import Trajectory
 from pecjax.experiments.presets import PRESETS
 from pecjax.world.navigation import NavigationSettings
@@ -38,7 +38,7 @@ def random_batch(seed: int):
     old = normal(1, ROWS, ACTIONS)
     value = normal(300, ROWS)
     batch = Batch(
-        obs=None,
+        features=None,
         action=draw.integers(0, ACTIONS, ROWS).astype(np.int32),
         logits=old,
         value=value,
@@ -69,7 +69,7 @@ def rllib_loss(batch: Batch, logits, value, kl_coeff: float, settings: PPOSettin
 
 
 def our_loss(settings: PPOSettings, batch: Batch, params, kl_coeff: float = 0.0):
-    return ppo.loss(IDENTITY, settings, params, batch, jnp.float32(kl_coeff))
+    return ppo_update.loss(IDENTITY, settings, params, batch, jnp.float32(kl_coeff))
 
 
 LOSSES = {
@@ -142,7 +142,7 @@ def test_terms_equal_rlax_and_scipy(seed):
 
 def trajectory_of(rewards, values, dones) -> Trajectory:
     logits = np.zeros((*values.shape, ACTIONS), np.float32)
-    return Trajectory(None, np.zeros(values.shape, np.int32), rewards, dones, (logits, values))
+    return Trajectory(None, np.zeros(values.shape, np.int32), rewards, dones, (None, logits, values))
 
 
 def random_trajectory(scale: float = 500.0):
@@ -154,10 +154,10 @@ def random_trajectory(scale: float = 500.0):
 
 def prepared(settings, trajectory, last_value, devices: int):
     if devices == 1:
-        return ppo.prepare(settings, trajectory, last_value, None)
+        return ppo_update.prepare(settings, trajectory, last_value, None)
     over_envs = PartitionSpec(None, AXIS)
     return jax.shard_map(
-        lambda t, v: ppo.prepare(settings, t, v, AXIS),
+        lambda t, v: ppo_update.prepare(settings, t, v, AXIS),
         mesh=fleet_mesh(devices),
         in_specs=(over_envs, PartitionSpec(AXIS)),
         out_specs=over_envs,
@@ -171,7 +171,7 @@ def test_advantages_are_standardised_over_the_whole_batch(devices, reward_scale)
     settings = replace(RLLIB, reward_scale=reward_scale)
     trajectory, last_value = random_trajectory()
     batch = prepared(settings, trajectory, last_value, devices)
-    values = jnp.concatenate([trajectory.extras[1], last_value[None]])
+    values = jnp.concatenate([trajectory.extras[2], last_value[None]])
     raw = jax.vmap(rlax.truncated_generalized_advantage_estimation, (1, 1, None, 1), 1)(
         reward_scale * trajectory.reward, 0.99 * (1 - trajectory.done), 0.95, values
     )
@@ -185,7 +185,7 @@ def test_a_tiny_deviation_counts_as_a_ten_thousandth(devices):
     trajectory, last_value = random_trajectory(scale=1e-6)
     dones = np.ones_like(trajectory.done)  # advantage = reward - value
     batch = prepared(RLLIB, trajectory._replace(done=dones), last_value, devices)
-    raw = np.float64(trajectory.reward) - trajectory.extras[1]
+    raw = np.float64(trajectory.reward) - trajectory.extras[2]
     # The rewards lie around -1 with a spread of 1e-6, of which float32 keeps 6e-8.
     np.testing.assert_allclose(batch.advantage, (raw - raw.mean()) / 1e-4, atol=2e-3)
     assert batch.advantage.std() < 0.05
@@ -197,12 +197,12 @@ def test_a_tiny_deviation_counts_as_a_ten_thousandth(devices):
 )
 def test_kl_coefficient_by_hand(kl, factor):
     for before in (0.2, 1.0):
-        after = ppo.adapt_kl_coeff(jnp.float32(before), jnp.float32(kl), 0.01)
+        after = ppo_update.adapt_kl_coeff(jnp.float32(before), jnp.float32(kl), 0.01)
         np.testing.assert_allclose(after, before * factor, rtol=1e-6)
 
 
 def test_samples_are_shuffled_once_and_then_only_their_parts():
-    rows = np.asarray(ppo.minibatch_rows(RLLIB, jax.random.key(0), 5000))
+    rows = np.asarray(ppo_update.minibatch_rows(RLLIB, jax.random.key(0), 5000))
     assert rows.shape == (30 * 39, 128)
     epochs = [[tuple(part) for part in epoch] for epoch in rows.reshape(30, 39, 128)]
     assert all(set(epoch) == set(epochs[0]) for epoch in epochs)
@@ -210,7 +210,7 @@ def test_samples_are_shuffled_once_and_then_only_their_parts():
     # 5000 = 39 × 128 + 8: every row at most once, and not simply the last ones left out
     assert len(np.unique(rows[:39])) == 39 * 128
     assert rows.min() >= 0 and rows.max() < 5000
-    other = np.asarray(ppo.minibatch_rows(RLLIB, jax.random.key(1), 5000))
+    other = np.asarray(ppo_update.minibatch_rows(RLLIB, jax.random.key(1), 5000))
     dropped = [set(range(5000)) - set(r[:39].ravel().tolist()) for r in (rows, other)]
     assert dropped[0] != dropped[1] and set(range(4992, 5000)) not in dropped
     assert abs(np.corrcoef(rows[:39].ravel(), np.arange(4992))[0, 1]) < 0.1
@@ -220,7 +220,7 @@ def test_the_shuffles_of_one_key_are_independent():
     """The order of the parts must not follow from the draw that made them."""
     key = jax.random.key(4)
     settings = replace(RLLIB, num_minibatches=50, num_epochs=8)
-    rows = np.asarray(ppo.minibatch_rows(settings, key, 50))  # parts of a single row
+    rows = np.asarray(ppo_update.minibatch_rows(settings, key, 50))  # parts of a single row
     first, *others = rows.reshape(8, 50)
     # Were an epoch's order drawn with the key of the one shuffle p, it would be p of p.
     for once in jax.random.split(key, 8):
@@ -231,7 +231,7 @@ def test_the_shuffles_of_one_key_are_independent():
 
 def test_steps_are_permuted_anew_each_epoch_and_all_used():
     settings = PPOSettings(num_steps=32, num_epochs=6, num_minibatches=8)
-    rows = np.asarray(ppo.minibatch_rows(settings, jax.random.key(0), 32))
+    rows = np.asarray(ppo_update.minibatch_rows(settings, jax.random.key(0), 32))
     assert rows.shape == (6 * 8, 4)
     epochs = rows.reshape(6, 32)
     np.testing.assert_array_equal(np.sort(epochs, axis=1), np.tile(np.arange(32), (6, 1)))
@@ -338,17 +338,17 @@ def test_two_devices_take_the_same_minibatches_as_one(shuffle, num_minibatches):
     def normal(*shape):
         return jnp.asarray(draw.normal(0, 1, (16, 8, *shape)), jnp.float32)
 
-    obs = {"depth": 5 + normal(3, 4), "goal": normal(2)}
+    features = normal(3 * 4 + 3)
     action = jnp.asarray(draw.integers(0, ACTIONS, (16, 8)), jnp.int32)
-    batch = Batch(obs, action, normal(ACTIONS), normal(), normal(), normal())
-    network = ActorCritic(settings.network, ACTIONS, 10.0)
+    batch = Batch(features, action, normal(ACTIONS), normal(), normal(), normal())
+    network = ActorCritic(settings.network, ACTIONS, (3, 4))
     optimizer = optax.adam(settings.learning_rate)
-    params = network.init(jax.random.key(0), obs)
-    learner = ppo.Learner(params, optimizer.init(params), jnp.float32(1.0))
+    params = jax.jit(network.init)(jax.random.key(0), features)
+    learner = ppo_update.Learner(params, optimizer.init(params), jnp.float32(1.0))
     key = jax.random.key(1)
 
     def update(learner, batch, axis_name=None):
-        return ppo.update(network, optimizer, settings, learner, batch, key, axis_name)
+        return ppo_update.update(network, optimizer, settings, learner, batch, key, axis_name)
 
     everywhere = PartitionSpec()
     shared = jax.shard_map(

@@ -41,67 +41,79 @@ def normc(scale: float) -> Callable[..., jax.Array]:
     return init
 
 
-def encode(obs: dict[str, jax.Array], far: float) -> tuple[jax.Array, jax.Array]:
-    """Brings an observation near the unit range.
+def encode(obs: dict[str, jax.Array], far: float) -> jax.Array:
+    """Brings an observation near the unit range, in one row of features.
 
     Args:
         obs: `depth` (…, H, W) m and `goal` (…, 2) m and rad.
         far: m, the depth that becomes 1.
 
     Returns:
-        image (…, H, W), and (…, 3): distance, and sine and cosine of the bearing, which have no
-        jump behind the drone.
+        (…, H·W + 3): the image row by row, then distance, and sine and cosine of the bearing, which
+        have no jump behind the drone.
     """
     distance, bearing = obs["goal"][..., 0], obs["goal"][..., 1]
     goal = jnp.stack([distance / DISTANCE_SCALE, jnp.sin(bearing), jnp.cos(bearing)], axis=-1)
-    return obs["depth"] / far, goal
-
-
-class _Tower(nn.Module):
-    """One encoder, hidden layers and an output layer."""
-
-    settings: NetworkSettings
-    outputs: int
-    output_gain: float
-
-    def _dense(self, width: int, gain: float) -> nn.Dense:
-        if self.settings.initializer == "normc":
-            return nn.Dense(width, kernel_init=normc(min(gain, 1.0)))
-        return nn.Dense(width, kernel_init=nn.initializers.orthogonal(gain))
-
-    @nn.compact
-    def __call__(self, image: jax.Array, goal: jax.Array) -> jax.Array:
-        x = image
-        if self.settings.encoder == "cnn":
-            x = x[..., None]
-            for channels, kernel in ((16, 5), (32, 3), (32, 3)):
-                x = nn.relu(nn.Conv(channels, (kernel, kernel), strides=2)(x))
-            x = x.reshape(*x.shape[:-3], -1)
-        else:
-            x = x.reshape(*x.shape[:-2], -1)
-        x = jnp.concatenate([x, goal], axis=-1)
-        for width in self.settings.hidden:
-            x = nn.tanh(self._dense(width, np.sqrt(2))(x))
-        return self._dense(self.outputs, self.output_gain)(x)
+    image = obs["depth"] / far
+    return jnp.concatenate([image.reshape(*image.shape[:-2], -1), goal], axis=-1)
 
 
 class ActorCritic(nn.Module):
-    """Action logits (…, A) and state value (…,) of a batch of observations."""
+    """Action logits (…, A) and state value (…,) of a batch of features (…, H·W + 3).
+
+    Attributes:
+        image_shape: (H, W) of the depth image within the features.
+    """
 
     settings: NetworkSettings
     num_actions: int
-    far: float
+    image_shape: tuple[int, int]
 
     @nn.compact
-    def __call__(self, obs: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
+    def __call__(self, features: jax.Array) -> tuple[jax.Array, jax.Array]:
         """See `forward`, which is this with the parameters given."""
-        image, goal = encode(obs, self.far)
-        critic_gain = 0.01 if self.settings.initializer == "normc" else 1.0
-        logits = _Tower(self.settings, self.num_actions, 0.01, name="actor")(image, goal)
-        value = _Tower(self.settings, 1, critic_gain, name="critic")(image, goal)
+        settings = self.settings
+        critic_gain = 0.01 if settings.initializer == "normc" else 1.0
+        outputs = {"actor": (self.num_actions, 0.01), "critic": (1, critic_gain)}
+        if settings.encoder == "cnn":
+            first = [
+                _dense(settings, settings.hidden[0], f"{name}_0")(
+                    _Convolutions(self.image_shape, name=f"{name}_convolutions")(features)
+                )
+                for name in outputs
+            ]
+        else:
+            # Both first layers in one matrix product: they read the same features, most of the work.
+            first = jnp.split(_dense(settings, 2 * settings.hidden[0], "first")(features), 2, axis=-1)
+        result = []
+        for (name, (width, gain)), x in zip(outputs.items(), first, strict=True):
+            for layer, hidden in enumerate(settings.hidden[1:], 1):
+                x = _dense(settings, hidden, f"{name}_{layer}")(nn.tanh(x))
+            result.append(_dense(settings, width, f"{name}_output", gain)(nn.tanh(x)))
+        logits, value = result
         return logits, value[..., 0]
 
 
-def forward(network: ActorCritic, params: Any, obs: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
+def _dense(settings: NetworkSettings, width: int, name: str, gain: float = np.sqrt(2)) -> nn.Dense:
+    if settings.initializer == "normc":
+        return nn.Dense(width, kernel_init=normc(min(gain, 1.0)), name=name)
+    return nn.Dense(width, kernel_init=nn.initializers.orthogonal(gain), name=name)
+
+
+class _Convolutions(nn.Module):
+    """Three strided convolutions over the image, and what is not image as it is."""
+
+    image_shape: tuple[int, int]
+
+    @nn.compact
+    def __call__(self, features: jax.Array) -> jax.Array:
+        pixels = int(np.prod(self.image_shape))
+        x = features[..., :pixels].reshape(*features.shape[:-1], *self.image_shape, 1)
+        for channels, kernel in ((16, 5), (32, 3), (32, 3)):
+            x = nn.relu(nn.Conv(channels, (kernel, kernel), strides=2)(x))
+        return jnp.concatenate([x.reshape(*x.shape[:-3], -1), features[..., pixels:]], axis=-1)
+
+
+def forward(network: ActorCritic, params: Any, features: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Action logits (…, A) and values (…,) under the given parameters."""
-    return cast(tuple[jax.Array, jax.Array], network.apply(params, obs))
+    return cast(tuple[jax.Array, jax.Array], network.apply(params, features))

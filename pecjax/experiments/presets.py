@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from pecjax import curriculum
 from pecjax.agents.networks import NetworkSettings
-from pecjax.agents.ppo import PPOSettings
+from pecjax.agents.ppo_update import PPOSettings
 from pecjax.curriculum import Sampler
 from pecjax.errors import InputError
 
