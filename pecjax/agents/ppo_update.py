@@ -164,9 +164,9 @@ def update(
 ) -> tuple[Learner, dict[str, jax.Array]]:
     """All epochs over one batch, and the KL rule; returns the terms of the last epoch."""
     if settings.shuffle == "samples":
-        batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), batch)
         if axis_name is not None:
-            batch = jax.lax.all_gather(batch, axis_name, tiled=True)
+            batch = jax.lax.all_gather(batch, axis_name, axis=1, tiled=True)
+        batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), batch)
     num_rows = batch.action.shape[0]
     rows = minibatch_rows(settings, key, num_rows)
 
@@ -195,9 +195,9 @@ def minibatch_rows(settings: PPOSettings, key: jax.Array, num_rows: int) -> jax.
     """Row numbers (epochs × minibatches, rows of a minibatch), the same on every device."""
     size = num_rows // settings.num_minibatches
     shape = (settings.num_minibatches, size)
-    keys = jax.random.split(key, settings.num_epochs)
+    once, *keys = jax.random.split(key, settings.num_epochs + 1)
+    keys = jnp.stack(keys)
     if settings.shuffle == "samples":
-        key, once = jax.random.split(key)
         parts = jax.random.permutation(once, num_rows)[: shape[0] * size].reshape(shape)
         epochs = jax.vmap(lambda k: jax.random.permutation(k, parts))(keys)
     else:
