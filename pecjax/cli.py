@@ -179,8 +179,9 @@ class Check:
         scene = load_scene(self.scene)
         table = load_coordinates(self.coordinates)
         check_coordinates(scene, table, flight_height=NavigationSettings().flight_height)
+        stem = self.out.with_suffix("") if self.out.suffix in (".png", ".svg") else self.out
         try:
-            paths = figures.save(figures.rooms(scene, table), self.out.with_suffix(""))
+            paths = figures.save(figures.rooms(scene, table), stem)
         except OSError as error:
             raise InputError(
                 f"{self.out}: cannot be written ({error.strerror}); choose another --out"

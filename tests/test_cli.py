@@ -15,6 +15,7 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 import pecjax
 from pecjax.cli import main
 from pecjax.experiments import devices
+from pecjax.world import load_coordinates
 
 TRAIN = ["train", "--iterations", "2", "--num-envs", "8", "--out", "run"]
 
@@ -34,8 +35,13 @@ def own_cache(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
+    """Uniform sampling over a coordinates file that is gone by the time the run is looked at."""
     folder = tmp_path_factory.mktemp("cli") / "run"
-    assert main([*TRAIN[:-1], str(folder)]) == 0
+    places = folder.parent / "places.txt"
+    places.write_text("-4.5, -1, -3.5, -1\n\n# a comment\n0 0 1 0  # another\n2.0,-3.0,2.75,-6.5\n")
+    options = ["--sampler", "uniform", "--coordinates", str(places), "--seed", "5", "--sampled-evaluation"]
+    assert main([*TRAIN[:-1], str(folder), *options]) == 0
+    places.unlink()
     return folder
 
 
@@ -62,24 +68,36 @@ def test_train_leaves_a_run_and_its_figures(run):
     there = {path.suffix for path in (run / "figures").iterdir()}
     assert there == {".png", ".svg"}
     settings = json.loads((run / "config.json").read_text())["settings"]
-    assert settings["iterations"] == 2 and settings["ppo"]["num_envs"] == 8
-    assert settings["sampler"] == "pec" and settings["alpha"] == 0.2 and settings["coordinates"] == "1"
+    assert settings["iterations"] == 2 and settings["ppo"]["num_envs"] == 8 and settings["seed"] == 5
+    assert settings["sampler"] == "uniform" and settings["greedy"] is False
+    assert settings["coordinates"].endswith("places.txt")
+
+
+def test_the_uniform_sampler_and_a_coordinates_file(run):
+    rows = pd.read_csv(run / "configurations.csv")
+    assert rows.config.tolist() == [0, 1, 2] * 2
+    np.testing.assert_allclose(rows.probability, 1 / 3, rtol=1e-6)
+    metrics = pd.read_csv(run / "metrics.csv")
+    assert rows.groupby("iteration").trials.sum().tolist() == metrics.episodes.cumsum().tolist()
+    table = load_coordinates(run / "coordinates.csv")
+    np.testing.assert_array_equal(table.start, np.float32([[-4.5, -1], [0, 0], [2, -3]]))
+    np.testing.assert_array_equal(table.goal, np.float32([[-3.5, -1], [1, 0], [2.75, -6.5]]))
 
 
 def test_eval_prints_exactly_one_json_object(run, capsys):
-    assert main(["eval", str(run), "--episodes", "7", "--sampled", "--json"]) == 0
+    assert main(["eval", str(run), "--episodes", "2", "--sampled", "--json"]) == 0
     out = capsys.readouterr().out
     assert out.count("\n") == 1
     report = json.loads(out)
     assert {"goal_ratio", "mean_return", "episodes", "per_configuration"} <= set(report)
-    assert report["episodes"] == 7 and report["checkpoint"] == 2 and report["greedy"] is False
+    assert report["episodes"] == 2 and report["checkpoint"] == 2 and report["greedy"] is False
     flown = [ratio for ratio in report["per_configuration"] if ratio is not None]
-    assert len(report["per_configuration"]) == 20 and len(flown) == 7
+    assert len(report["per_configuration"]) == 3 and len(flown) == 2
     np.testing.assert_allclose(report["goal_ratio"], np.mean(flown), atol=1e-6)
     # In words it says the same.
-    assert main(["eval", str(run), "--episodes", "7", "--sampled"]) == 0
+    assert main(["eval", str(run), "--episodes", "2", "--sampled"]) == 0
     out = capsys.readouterr().out
-    assert f"goal ratio {report['goal_ratio']:.4f}" in out and out.count("not flown") == 13
+    assert f"goal ratio {report['goal_ratio']:.4f}" in out and out.count("not flown") == 1
 
 
 def test_figures_draws_them_again_and_names_them(run, capsys):

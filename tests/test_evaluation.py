@@ -166,9 +166,10 @@ def test_ppos_policy_takes_the_likeliest_action_or_draws_by_the_logits(env):
     agent = ppo.make(env, env.configurations, pecjax.curriculum.uniform(20), settings)
     learner = jax.jit(agent.init)(jax.random.key(0)).learner
     bias = jnp.linspace(-2, 1, 15)
-    params = jax.tree.map(jnp.zeros_like, learner.params)
-    params["params"]["actor"]["Dense_1"]["bias"] = bias
-    learner = learner._replace(params=params)
+    # The only parameters of this shape are the biases of the logits.
+    only_bias = jax.tree.map(lambda p: bias if p.shape == (15,) else jnp.zeros_like(p), learner.params)
+    assert sum(p.shape == (15,) for p in jax.tree.leaves(learner.params)) == 1
+    learner = learner._replace(params=only_bias)
     obs = {"depth": jnp.ones((12, 16)), "goal": jnp.ones(2)}
     keys = jax.random.split(jax.random.key(1), 20_000)
     drawn = jax.jit(jax.vmap(agent.policy(learner), in_axes=(None, 0)))(obs, keys)

@@ -31,7 +31,10 @@ class NetworkSettings:
     initializer: Literal["orthogonal", "normc"] = "orthogonal"
 
 
-def normc(scale: float) -> Callable[..., jax.Array]:
+Initializer = Callable[..., jax.Array]
+
+
+def normc(scale: float) -> Initializer:
     """Normal columns scaled to length `scale` (RLlib 0.8.5, `models/tf/misc.py`)."""
 
     def init(key: jax.Array, shape: tuple[int, ...], dtype: np.dtype = jnp.float32) -> jax.Array:
@@ -84,7 +87,10 @@ class ActorCritic(nn.Module):
             ]
         else:
             # Both first layers in one matrix product: they read the same features, most of the work.
-            first = jnp.split(_dense(settings, 2 * settings.hidden[0], "first")(features), 2, axis=-1)
+            both = nn.Dense(
+                2 * settings.hidden[0], kernel_init=_two_halves(_kernel_init(settings)), name="first"
+            )
+            first = jnp.split(both(features), 2, axis=-1)
         result = []
         for (name, (width, gain)), x in zip(outputs.items(), first, strict=True):
             for layer, hidden in enumerate(settings.hidden[1:], 1):
@@ -94,10 +100,22 @@ class ActorCritic(nn.Module):
         return logits, value[..., 0]
 
 
-def _dense(settings: NetworkSettings, width: int, name: str, gain: float = np.sqrt(2)) -> nn.Dense:
+def _kernel_init(settings: NetworkSettings, gain: float = np.sqrt(2)) -> Initializer:
     if settings.initializer == "normc":
-        return nn.Dense(width, kernel_init=normc(min(gain, 1.0)), name=name)
-    return nn.Dense(width, kernel_init=nn.initializers.orthogonal(gain), name=name)
+        return normc(min(gain, 1.0))
+    return nn.initializers.orthogonal(gain)
+
+
+def _two_halves(init: Initializer) -> Initializer:
+    def halves(key: jax.Array, shape: tuple[int, ...], dtype: np.dtype = jnp.float32) -> jax.Array:
+        parts = [init(k, (*shape[:-1], shape[-1] // 2), dtype) for k in jax.random.split(key)]
+        return jnp.concatenate(parts, axis=-1)
+
+    return halves
+
+
+def _dense(settings: NetworkSettings, width: int, name: str, gain: float = np.sqrt(2)) -> nn.Dense:
+    return nn.Dense(width, kernel_init=_kernel_init(settings, gain), name=name)
 
 
 class _Convolutions(nn.Module):

@@ -63,7 +63,9 @@ class PPOSettings:
         return self.num_steps * (self.num_envs if self.shuffle == "samples" else 1)
 
     def check(self) -> None:
-        """Raises InputError where the minibatches do not divide the batch."""
+        """Raises InputError where the batch cannot be cut into the minibatches."""
+        if min(self.num_envs, self.num_steps, self.num_epochs, self.num_minibatches) < 1:
+            raise InputError("environments, steps, epochs and minibatches must each be 1 or more")
         uneven = self.shuffle == "steps" and self.rows % self.num_minibatches
         if self.num_minibatches > self.rows or uneven:
             raise InputError(

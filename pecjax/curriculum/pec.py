@@ -11,6 +11,8 @@ import numpy as np
 from pecjax.curriculum.sampler import Outcomes, Sampler, choose, tally
 from pecjax.errors import InputError
 
+MAX_ALPHA = 1e6  # where float32 no longer tells it from uniform sampling
+
 
 class PECState(NamedTuple):
     """All that PEC remembers.
@@ -40,17 +42,17 @@ def pec(num_configs: int, alpha: float | jax.Array = 0.2) -> Sampler:
 
     Args:
         num_configs: N, at least 1.
-        alpha: α ≥ 0, how little the failure ratio counts; a scalar, and under `vmap` an array.
+        alpha: α from 0 to `MAX_ALPHA`, a scalar (several by `vmap`): the larger, the nearer to uniform.
 
     Raises:
-        InputError: fewer than one configuration, or α negative, NaN or infinite.
+        InputError: fewer than one configuration, or α out of its range or NaN.
     """
     if num_configs < 1:
         raise InputError(f"num_configs is {num_configs}; a sampler needs at least 1 configuration")
     if np.ndim(alpha):
         raise InputError(f"alpha has shape {np.shape(alpha)}; give one number, and vmap over several")
-    if not isinstance(alpha, jax.core.Tracer) and not (np.isfinite(alpha) and alpha >= 0):
-        raise InputError(f"alpha is {alpha}; it must be a finite number of 0 or more")
+    if not isinstance(alpha, jax.core.Tracer) and not 0 <= alpha <= MAX_ALPHA:
+        raise InputError(f"alpha is {alpha}; it must be a number from 0 to {MAX_ALPHA:g}")
 
     def init() -> PECState:
         return PECState(jnp.zeros((2, num_configs), jnp.int32), jnp.asarray(alpha, jnp.float32))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,13 @@ class Checkpoints:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Opens `folder`/checkpoints, which is made with the first checkpoint."""
+        """Names `folder`/checkpoints, which is made with the first checkpoint."""
         self._folder = (folder / "checkpoints").absolute()
-        self._manager = ocp.CheckpointManager(
-            self._folder, options=ocp.CheckpointManagerOptions(enable_async_checkpointing=False)
-        )
+
+    @cached_property
+    def _manager(self) -> ocp.CheckpointManager:
+        options = ocp.CheckpointManagerOptions(enable_async_checkpointing=False)
+        return ocp.CheckpointManager(self._folder, options=options)
 
     def save(self, iteration: int, state: TrainState) -> None:
         """Writes the state after `iteration` iterations."""
@@ -35,7 +38,7 @@ class Checkpoints:
 
     def iterations(self) -> list[int]:
         """The iterations at which a checkpoint was saved, rising."""
-        return sorted(self._manager.all_steps())
+        return sorted(self._manager.all_steps()) if self._folder.is_dir() else []
 
     def load_learner(self, like: Any, iteration: int | None = None) -> tuple[int, Any]:
         """The learner's part of a checkpoint, the newest when `iteration` is None.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 
 import jax
@@ -16,7 +17,8 @@ def use_all_cores() -> None:
     Call it before JAX is first used (in a notebook: in the first cell); an accelerator, where
     there is one, is used as ever.
     """
-    jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+    with contextlib.suppress(RuntimeError):  # JAX has begun, and keeps the devices that it has
+        jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
 
 
 def keep_compiled_programs() -> str:

@@ -20,6 +20,12 @@ from pecjax.world.scene import Scene, load_scene
 # Colours that stay apart in grey (Okabe & Ito).
 TRIALS, FAILURES, GOAL, PATH = "#9fb8cc", "#a0330f", "#00573f", "#1f5f99"
 SMOOTHED_ITERATIONS = 20
+_COLUMNS = {
+    "metrics": {"iteration", "env_steps", "goal_ratio"},
+    "configurations": {"iteration", "config", "trials", "failures"},
+    "evaluation": {"iteration", "goal_ratio", "mean_return"},
+    "trajectories": {"episode", "config", "goal", "step", "x", "y"},
+}
 SNAPSHOTS = 4  # iterations shown side by side, as in the paper's Fig. 5
 
 matplotlib.rcParams["svg.hashsalt"] = "pecjax"
@@ -33,13 +39,8 @@ def draw_run(folder: Path) -> list[Path]:
     """
     run = RunDirectory(folder)
     settings = run.settings()
-    tables = {}
-    for name in ("metrics", "configurations", "evaluation", "trajectories"):
-        path = folder / f"{name}.csv"
-        if not path.is_file():
-            raise InputError(f"{path}: missing; the run has not come to its end")
-        tables[name] = pd.read_csv(path)
-    label = f"{settings.sampler}" + (f" (α = {settings.alpha:g})" if settings.sampler == "pec" else "")
+    tables = {name: _read(folder / f"{name}.csv", columns) for name, columns in _COLUMNS.items()}
+    label = settings.sampler + (f" (α = {settings.alpha:g})" if settings.sampler == "pec" else "")
     label += f", PPO, coordinates {Path(settings.coordinates).name}, seed {settings.seed}"
     metrics, evaluation = tables["metrics"], tables["evaluation"]
     figures = {
@@ -54,10 +55,24 @@ def draw_run(folder: Path) -> list[Path]:
     return [path for name, figure in figures.items() for path in save(figure, folder / "figures" / name)]
 
 
+def _read(path: Path, columns: set[str]) -> pd.DataFrame:
+    if not path.is_file():
+        raise InputError(f"{path}: missing; the run has not come to its end")
+    try:
+        table = pd.read_csv(path)
+    except ValueError as error:  # pandas' own errors are of this kind
+        raise InputError(f"{path}: not a table ({error}); the run must be done again") from error
+    numeric = set(table.select_dtypes("number").columns)
+    if not columns <= numeric or table.empty:
+        lacking = ", ".join(sorted(columns - numeric)) or "rows"
+        raise InputError(f"{path}: lacks {lacking}; the run must be done again")
+    return table
+
+
 def save(figure: Figure, path: Path) -> list[Path]:
-    """Writes a figure as PNG and SVG; `path` has no ending."""
+    """Writes a figure as PNG and SVG; `path` is without their endings."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    paths = [path.with_suffix(suffix) for suffix in (".png", ".svg")]
+    paths = [path.with_name(path.name + suffix) for suffix in (".png", ".svg")]
     figure.savefig(paths[0], dpi=150)
     figure.savefig(paths[1], metadata={"Date": None})
     return paths

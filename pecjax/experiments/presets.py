@@ -123,8 +123,9 @@ def check_settings(settings: RunSettings) -> None:
     for name, value in counts.items():
         if value < 1:
             raise InputError(f"{name} is {value}; it must be at least 1")
-    if not 0 <= settings.seed < 2**31:
-        raise InputError(f"seed is {settings.seed}; it must lie in 0 to 2147483647")
+    for seed in (settings.seed, settings.evaluation_seed):
+        if not 0 <= seed < 2**31:
+            raise InputError(f"seed is {seed}; it must lie in 0 to 2147483647")
 
 
 def override(settings: RunSettings, num_envs: int | None = None, **changes: object) -> RunSettings:

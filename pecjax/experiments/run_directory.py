@@ -58,6 +58,22 @@ def _git_commit() -> str | None:
     return found.stdout.strip()
 
 
+def _as_one_file(scene_path: Path) -> str:
+    """The map with all that it includes, as the run flies in it and keeps it.
+
+    Raises:
+        InputError: it needs files that are not MJCF.
+    """
+    spec = mujoco.MjSpec.from_file(str(scene_path))
+    for asset in (*spec.meshes, *spec.textures, *spec.hfields, *spec.skins):
+        if getattr(asset, "file", ""):
+            raise InputError(
+                f"{scene_path}: needs the file '{asset.file}', but a run keeps its map as one file; "
+                "take the asset out or draw it with plain geoms"
+            )
+    return spec.to_xml()
+
+
 def check_free(folder: Path) -> None:
     """Makes sure that a new run can be written into `folder`, without leaving anything there.
 
@@ -86,11 +102,11 @@ class RunDirectory:
         self, settings: RunSettings, scene_path: Path, table: Configurations, num_devices: int
     ) -> None:
         """Writes what the run depends on: settings, map and coordinates."""
+        scene = _as_one_file(scene_path)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             (self.folder / "figures").mkdir()
-            # One file, whatever the map includes; the run itself flies in this copy.
-            self.scene_path.write_text(mujoco.MjSpec.from_file(str(scene_path)).to_xml())
+            self.scene_path.write_text(scene)
             rows = np.hstack([table.start, table.goal])
             np.savetxt(
                 self.folder / "coordinates.csv", rows, "%.9g", ",", header="start_x,start_y,goal_x,goal_y"

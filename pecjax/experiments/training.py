@@ -83,7 +83,7 @@ def train(settings: RunSettings, folder: Path, devices: int | None = None) -> di
         InputError: anything the user can put right; nothing has been written then.
     """
     check_settings(settings)
-    scene_path = Path(settings.scene) if settings.scene else default_scene_path()
+    scene_path = Path(settings.scene) if settings.scene is not None else default_scene_path()
     table = load_coordinates(settings.coordinates)
     num_devices = choose_num_devices(devices, settings.ppo.num_envs)
     scene = load_scene(scene_path, settings.resolution)

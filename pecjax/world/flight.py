@@ -16,7 +16,7 @@ import numpy as np
 from mujoco import mjx
 
 from pecjax.world.clearance import wall_distance
-from pecjax.world.rotations import heading_to_quaternion, quaternion_to_matrix
+from pecjax.world.rotations import dot, heading_to_quaternion, quaternion_to_matrix
 from pecjax.world.scene import Scene
 
 
@@ -89,18 +89,19 @@ def rotor_controls(scene: Scene, gains: ControllerGains, state: DroneState, comm
 
     acceleration = _acceleration(gains, gravity, rotation, state.qpos[2], velocity, command)
     force = scene.mass * (acceleration + jnp.array([0, 0, gravity], velocity.dtype))
-    wanted_up = (force / jnp.linalg.norm(force)) @ rotation  # in the drone's frame
+    wanted_up = force / jnp.sqrt(dot(force, force))
+    tilt_x, tilt_y = dot(wanted_up, rotation[:, 0]), dot(wanted_up, rotation[:, 1])  # in the drone's frame
 
     wanted_rates = command.yaw_rate * rotation[2]
     lag = wanted_rates - rates
     angular_acceleration = jnp.stack([
-        -gains.attitude * wanted_up[1] + gains.body_rate * lag[0],
-        gains.attitude * wanted_up[0] + gains.body_rate * lag[1],
+        -gains.attitude * tilt_y + gains.body_rate * lag[0],
+        gains.attitude * tilt_x + gains.body_rate * lag[1],
         gains.yaw_rate * lag[2],
     ])  # fmt: skip
     inertia = jnp.asarray(scene.inertia, rates.dtype)
     torque = inertia * angular_acceleration + jnp.cross(rates, inertia * rates)
-    return mix(scene, force @ rotation[:, 2], torque)
+    return mix(scene, dot(force, rotation[:, 2]), torque)
 
 
 def _acceleration(
@@ -112,15 +113,16 @@ def _acceleration(
     command: Command,
 ) -> jax.Array:
     """The acceleration (3,) m/s² in the world that brings the velocity to the command's."""
-    ahead = rotation[:2, 0] / jnp.linalg.norm(rotation[:2, 0])
+    nose = rotation[:2, 0]
+    ahead = nose / jnp.sqrt(dot(nose, nose))
     left = jnp.stack([-ahead[1], ahead[0]])
-    forward_speed, side_speed = velocity[:2] @ ahead, velocity[:2] @ left
+    forward_speed, side_speed = dot(velocity[:2], ahead), dot(velocity[:2], left)
     turning = command.yaw_rate if gains.turn_feed_forward else 0.0
     forward = gains.velocity * (command.speed - forward_speed) - turning * side_speed
     sideward = -gains.velocity * side_speed + turning * forward_speed
     level = forward * ahead + sideward * left
     limit = gravity * np.tan(gains.max_tilt)
-    level = level * jnp.minimum(1.0, limit / (jnp.linalg.norm(level) + 1e-6))
+    level = level * jnp.minimum(1.0, limit / (jnp.sqrt(dot(level, level)) + 1e-6))
     climb = gains.climb * (gains.height * (command.height - height) - velocity[2])
     return jnp.concatenate([level, climb[None]])
 
@@ -140,7 +142,12 @@ def mix(scene: Scene, thrust: jax.Array, torque: jax.Array) -> jax.Array:
 
 def physics_step(scene: Scene, state: DroneState, controls: jax.Array) -> DroneState:
     """One MJX step of `scene.model.opt.timestep` seconds under rotor controls (U,)."""
-    data = mjx.make_data(scene.model).replace(qpos=state.qpos, qvel=state.qvel, ctrl=controls)
+    wrench = jnp.asarray(scene.rotors.wrench, controls.dtype)
+    thrust, *torque = (dot(row, controls) for row in wrench)
+    # Given as the force that MuJoCo's site actuators come to: MJX's own way there is much longer.
+    up = quaternion_to_matrix(state.qpos[3:])[:, 2]
+    applied = jnp.concatenate([thrust * up, jnp.stack(torque)])
+    data = mjx.make_data(scene.model).replace(qpos=state.qpos, qvel=state.qvel, qfrc_applied=applied)
     data = mjx.step(scene.physics, data)
     return DroneState(data.qpos, data.qvel)
 

@@ -16,6 +16,14 @@ def quaternion_to_matrix(quaternion: jax.Array) -> jax.Array:
     ])  # fmt: skip
 
 
+def dot(a: jax.Array, b: jax.Array) -> jax.Array:
+    """The product () of two vectors of one short length.
+
+    Written out: under `vmap`, XLA turns `a @ b` into a batched product that fuses with nothing.
+    """
+    return sum((x * y for x, y in zip(a[1:], b[1:], strict=True)), start=a[0] * b[0])
+
+
 def heading_to_quaternion(heading: jax.Array) -> jax.Array:
     """The quaternion (4,) of a level body that looks along `heading` (rad, from +x towards +y)."""
     zero = jnp.zeros_like(heading)

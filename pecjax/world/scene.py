@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,7 +65,7 @@ class Scene:
 
     Attributes:
         model: the compiled MuJoCo model, with the options that pecjax runs it with.
-        physics: the same model for MJX.
+        physics: the same model for MJX, its rotors left to `flight.physics_step`.
         wall_lower, wall_upper: (W, 3) m, opposite corners of the axis-aligned walls.
         wall_names: W names, for messages and figures.
         drone_radius: m, of the drone's collision sphere.
@@ -129,7 +130,7 @@ def load_scene(path: str | Path | None = None, resolution: tuple[int, int] | Non
     wall_lower, wall_upper, wall_names = _walls(path, model)
     return Scene(
         model=model,
-        physics=mjx.put_model(model),
+        physics=mjx.put_model(_without_actuation(model)),
         wall_lower=wall_lower,
         wall_upper=wall_upper,
         wall_names=wall_names,
@@ -153,6 +154,12 @@ def _compile(path: Path) -> mujoco.MjModel:
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: MuJoCo cannot compile it: {reason}") from error
+
+
+def _without_actuation(model: mujoco.MjModel) -> mujoco.MjModel:
+    model = copy.copy(model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    return model
 
 
 def _collides(model: mujoco.MjModel, geom: int) -> bool:
@@ -237,13 +244,18 @@ def _rotors(path: Path, model: mujoco.MjModel, drone: int) -> Rotors:
         )
     data = mujoco.MjData(model)
     data.qpos[3:] = (1, 0, 0, 0)
-    wrench = np.zeros((4, model.nu))
+    wrench = np.zeros((6, model.nu))
     for rotor in range(model.nu):
         data.ctrl[:] = 0
         data.ctrl[rotor] = limits[rotor, 1]
         mujoco.mj_forward(model, data)
-        wrench[:, rotor] = data.qfrc_actuator[2:] / limits[rotor, 1]
+        wrench[:, rotor] = data.qfrc_actuator / limits[rotor, 1]
     weight = -float(model.opt.gravity[2] * model.body_mass[drone])
+    if np.any(np.abs(wrench[:2]) > 1e-9):
+        raise InputError(
+            f"{path}: the rotors must push along the drone's own z axis; turn their sites upright"
+        )
+    wrench = wrench[2:]
     if np.linalg.matrix_rank(wrench) < 4 or wrench[0] @ limits[:, 1] <= weight:
         raise InputError(
             f"{path}: the rotors cannot hold the drone; they must steer roll, pitch and yaw and "
