@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib
 import io
 import json
 import re
@@ -12,13 +13,14 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated
 
 import numpy as np
 import tyro
 
 from pecjax.errors import InputError
-from pecjax.experiments import devices, evaluation, figures, presets, training
+from pecjax.experiments import devices, evaluation, presets, training
 from pecjax.experiments.checkpoint import Checkpoints
 from pecjax.experiments.run_directory import RunDirectory
 from pecjax.world.coordinates import check_coordinates, load_coordinates
@@ -74,7 +76,7 @@ class Train:
         )
         folder = self.out or Path("runs") / time.strftime(f"{settings.sampler}-%Y%m%d-%H%M%S")
         summary = training.train(settings, folder, self.devices)
-        figures.draw_run(folder)
+        _figures().draw_run(folder)
         evaluated = summary["uniform_evaluation"]
         print(
             f"{folder}: goal ratio {evaluated['goal_ratio']:.3f} over {evaluated['episodes']} "
@@ -156,7 +158,7 @@ class Figures:
 
     def run(self) -> None:
         """Draws and names the files."""
-        for path in figures.draw_run(self.folder):
+        for path in _figures().draw_run(self.folder):
             print(path)
 
 
@@ -181,7 +183,7 @@ class Check:
         check_coordinates(scene, table, flight_height=NavigationSettings().flight_height)
         stem = self.out.with_suffix("") if self.out.suffix in (".png", ".svg") else self.out
         try:
-            paths = figures.save(figures.rooms(scene, table), stem)
+            paths = _figures().save(_figures().rooms(scene, table), stem)
         except OSError as error:
             raise InputError(
                 f"{self.out}: cannot be written ({error.strerror}); choose another --out"
@@ -190,6 +192,11 @@ class Check:
             f"{len(scene.wall_names)} walls, {table.size} configurations: every one can be flown by a "
             f"drone of radius {scene.drone_radius:g} m; drawn to {' and '.join(map(str, paths))}"
         )
+
+
+def _figures() -> ModuleType:
+    """The module that draws; pandas and matplotlib would hold up everything else by 2 s."""
+    return importlib.import_module("pecjax.experiments.figures")
 
 
 Command = (

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import importlib
 from functools import cached_property
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import jax
-import orbax.checkpoint as ocp
 
 from pecjax.agents.agent import TrainState
 from pecjax.errors import InputError
+
+
+def _orbax() -> ModuleType:
+    """Orbax: importing it takes over a second, which only saving and loading shall pay."""
+    return importlib.import_module("orbax.checkpoint")
 
 
 class Checkpoints:
@@ -24,13 +30,15 @@ class Checkpoints:
         self._folder = (folder / "checkpoints").absolute()
 
     @cached_property
-    def _manager(self) -> ocp.CheckpointManager:
+    def _manager(self) -> Any:
+        ocp = _orbax()
         options = ocp.CheckpointManagerOptions(enable_async_checkpointing=False)
         return ocp.CheckpointManager(self._folder, options=options)
 
     def save(self, iteration: int, state: TrainState) -> None:
         """Writes the state after `iteration` iterations."""
         rest = state._replace(learner=None, key=jax.random.key_data(state.key))
+        ocp = _orbax()
         items = ocp.args.Composite(
             learner=ocp.args.StandardSave(state.learner), rest=ocp.args.StandardSave(rest._asdict())
         )
@@ -56,5 +64,6 @@ class Checkpoints:
             listed = ", ".join(map(str, there))
             raise InputError(f"{self._folder}: no checkpoint {iteration}; there are {listed}")
         iteration = there[-1] if iteration is None else iteration
+        ocp = _orbax()
         items = ocp.args.Composite(learner=ocp.args.StandardRestore(like))
         return iteration, self._manager.restore(iteration, args=items)["learner"]
