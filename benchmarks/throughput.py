@@ -1,9 +1,9 @@
-"""Control steps per second: C MuJoCo's physics alone, our environment, and training end to end.
+"""How fast each part is, beside C MuJoCo on the same cores, in one run.
 
-    python benchmarks/throughput.py [--repeats 7] [--out throughput.json]
+    python benchmarks/throughput.py [--repeats 7] [--out throughput.json] [--only GROUP ...]
 
-All figures are medians of repeats taken in turn within one run, so that a machine that drifts
-drifts for all of them; only the ratios are worth quoting.
+Every figure is a median of repeats taken in turn with the others of its group, so that a machine
+that drifts drifts for all of them; only ratios within a group are worth quoting.
 """
 
 from __future__ import annotations
@@ -12,143 +12,171 @@ import argparse
 import json
 import os
 import statistics
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
-import mujoco
-import numpy as np
-from jax.sharding import PartitionSpec
-from mujoco import rollout as c_rollout
+import workloads as w
+from workloads import Workload
 
 import pecjax
-from pecjax.agents import AXIS, fleet_mesh, ppo, shard
-from pecjax.agents.rollout import env_keys, launch, rollout
-from pecjax.curriculum import pec
+from pecjax.agents.ppo_update import PPOSettings
+from pecjax.curriculum import pec, uniform
 from pecjax.experiments.devices import use_all_cores
 from pecjax.experiments.run_directory import environment_facts
 
-NUM_ENVS, NUM_STEPS = 512, 32  # of one batch, as in the preset `fast`
-
-# A prepared workload: each call does one batch of NUM_ENVS × NUM_STEPS control steps.
-Work = Callable[[], None]
+Group = dict[str, Workload]
+SECONDS_A_TURN = 0.25  # at least, so that the clock and a busy neighbour matter little
 
 
-def c_physics(env: pecjax.RoomsNavigation) -> Work:
-    """C MuJoCo's `rollout` on every core: the same model and physics steps, and nothing else."""
-    model = env.scene.model
-    cores = len(os.sched_getaffinity(0))
-    data = mujoco.MjData(model)
-    mujoco.mj_resetData(model, data)
-    state = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
-    mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-    initial = np.tile(state, (NUM_ENVS, 1))
-    hover = env.scene.mass * 9.81 / model.nu
-    controls = np.random.default_rng(0).uniform(
-        0.9 * hover, 1.1 * hover, (NUM_ENVS, NUM_STEPS * env.physics_steps, model.nu)
-    )
-    pool = c_rollout.Rollout(nthread=cores)
-    threads = [mujoco.MjData(model) for _ in range(cores)]
-    return lambda: pool.rollout(model, threads, initial, controls)
-
-
-def environment(env: pecjax.RoomsNavigation, num_devices: int) -> Work:
-    """Our environment under random actions: flight, depth, reward, endings, resets, PEC."""
-    table = env.configurations
-    sampler = pec(table.size)
-    mesh = fleet_mesh(num_devices)
-    spread, same = PartitionSpec(AXIS), PartitionSpec()
-
-    def random_actions(obs, keys):
-        return jax.vmap(lambda key: jax.random.randint(key, (), 0, env.action_size))(keys), ()
-
-    def batch(fleet, sampler_state, key):
-        num_local = fleet.config_id.shape[0]
-        ids = jax.lax.axis_index(AXIS) * num_local + jnp.arange(num_local)
-        fleet, trajectory, episodes = rollout(
-            env, table, sampler, sampler_state, random_actions, fleet, key, ids, NUM_STEPS
-        )
-        # A sum over every image, so that none is optimised away.
-        seen = jax.lax.psum(trajectory.obs["depth"].sum() + trajectory.reward.sum(), AXIS)
-        return fleet, sampler.update(sampler_state, episodes.outcomes, AXIS), seen
-
-    program = jax.jit(
-        jax.shard_map(
-            batch, mesh=mesh, in_specs=(spread, same, same), out_specs=(spread, same, same), check_vma=False
-        )
-    )
-    key = jax.random.key(0)
-    state = sampler.init()
-    fleet = jax.device_put(
-        jax.jit(partial(launch, env, table, sampler, num_envs=NUM_ENVS))(sampler_state=state, key=key),
-        jax.NamedSharding(mesh, spread),
-    )
-    carry = [fleet, state, 0]
-
-    def work() -> None:
-        carry[2] += 1
-        fleet, state, seen = program(carry[0], carry[1], env_keys(key, jnp.array([carry[2]]))[0])
-        carry[:2] = fleet, state
-        jax.block_until_ready(seen)
-
-    return work
-
-
-def training(env: pecjax.RoomsNavigation, num_devices: int) -> Work:
-    """PPO end to end, preset `fast`, PEC."""
-    table = env.configurations
-    settings = ppo.PPOSettings(num_envs=NUM_ENVS, num_steps=NUM_STEPS)
-    agent = shard(ppo.make(env, table, pec(table.size), settings, AXIS), fleet_mesh(num_devices))
-    carry = [agent.init(jax.random.key(0))]
-    iterate = jax.jit(agent.iterate, donate_argnums=0)
-
-    def work() -> None:
-        carry[0], metrics = iterate(carry[0])
-        jax.block_until_ready(metrics)
-
-    return work
-
-
-def measure(cases: dict[str, Work], repeats: int) -> dict[str, float]:
-    """Median control steps per second of each, all taken in turn after a warm-up."""
-    seconds: dict[str, list[float]] = {name: [] for name in cases}
-    for turn in range(repeats + 2):
-        for name, work in cases.items():
+def measure(group: Group, repeats: int) -> dict[str, float]:
+    """Median seconds of one call of each, all taken in turn after a warm-up."""
+    calls = {}
+    for name, workload in group.items():
+        workload.run()
+        begun = time.perf_counter()
+        workload.run()
+        calls[name] = max(1, round(SECONDS_A_TURN / (time.perf_counter() - begun)))
+    seconds: dict[str, list[float]] = {name: [] for name in group}
+    for _ in range(repeats):
+        for name, workload in group.items():
             begun = time.perf_counter()
-            for _ in range(4):
-                work()
-            if turn >= 2:
-                seconds[name].append(time.perf_counter() - begun)
-    return {name: 4 * NUM_ENVS * NUM_STEPS / statistics.median(times) for name, times in seconds.items()}
+            for _ in range(calls[name]):
+                workload.run()
+            seconds[name].append((time.perf_counter() - begun) / calls[name])
+    return {name: statistics.median(times) for name, times in seconds.items()}
+
+
+def training_parts() -> Group:
+    """Control steps: C MuJoCo's physics first, which all others are held against."""
+    env, settings = pecjax.RoomsNavigation(pecjax.load_scene()), PPOSettings()
+    mesh, sampler = w.device_mesh(), pec(pecjax.COORDINATE_SET_1.size)
+    batch = (settings.num_envs, settings.num_steps)
+    policy, update = w.learner(env, mesh, settings)
+    return {
+        "C MuJoCo rollout, physics alone": w.c_physics(env, *batch),
+        "controller, MJX, wall distance": w.flight(env, mesh, *batch),
+        "environment alone": w.environment(env, sampler, mesh, *batch),
+        "policy step": policy,
+        "PPO update": update,
+        "PPO training end to end": w.training(env, sampler, mesh, settings),
+    }
+
+
+def environment_counts() -> Group:
+    """Training end to end, by how many environments share a batch of one size."""
+    env, mesh = pecjax.RoomsNavigation(pecjax.load_scene()), w.device_mesh()
+    sampler = pec(pecjax.COORDINATE_SET_1.size)
+    return {
+        f"training, {num_envs} environments": w.training(
+            env, sampler, mesh, PPOSettings(num_envs=num_envs, num_steps=16384 // num_envs)
+        )
+        for num_envs in (512, 256, 1024, 2048)
+    }
+
+
+def depth_images(resolution: tuple[int, int]) -> Group:
+    """Rays: `mj_multiRay` first, which the others are held against."""
+    scene, mesh = pecjax.load_scene(resolution=resolution), w.device_mesh()
+    num_images = 98304 * 4 // (resolution[0] * resolution[1])
+    return {
+        "mj_multiRay, all cores": w.c_depth(scene, num_images),
+        "ours": w.depth(scene, mesh, num_images),
+        "mjx.ray": w.mjx_depth(scene, mesh, num_images),
+    }
+
+
+def devices() -> Group:
+    """Training end to end on one device and on all."""
+    env, sampler = pecjax.RoomsNavigation(pecjax.load_scene()), pec(pecjax.COORDINATE_SET_1.size)
+    return {
+        f"training, {number} device(s)": w.training(env, sampler, w.device_mesh(number), PPOSettings())
+        for number in (1, len(jax.devices()))
+    }
+
+
+def samplers() -> Group:
+    """Training end to end under uniform sampling and under PEC."""
+    env, mesh = pecjax.RoomsNavigation(pecjax.load_scene()), w.device_mesh()
+    size = pecjax.COORDINATE_SET_1.size
+    return {
+        f"training, {name}": w.training(env, sampler, mesh, PPOSettings())
+        for name, sampler in (("uniform", uniform(size)), ("PEC", pec(size)))
+    }
+
+
+def large_curricula() -> Group:
+    """4,096 draws and their tally, and a copy of the counts, by the number of configurations."""
+    group: Group = {}
+    for num_configs in (20, 10_000, 1_000_000):
+        work, copy = w.curriculum(pec(num_configs), num_configs, 4096)
+        group[f"copy of the counts, N = {num_configs:,}"] = copy
+        group[f"draw and tally 4,096, N = {num_configs:,}"] = work
+    return group
+
+
+GROUPS: dict[str, Callable[[], Group]] = {
+    "training": training_parts,
+    "environments": environment_counts,
+    "depth-16x12": lambda: depth_images((16, 12)),
+    "depth-64x48": lambda: depth_images((64, 48)),
+    "devices": devices,
+    "samplers": samplers,
+    "curricula": large_curricula,
+}
+
+
+def startup() -> dict[str, float]:
+    """Seconds from `pecjax train` to its first progress line, and its peak memory in GB."""
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        surroundings = os.environ | {"XDG_CACHE_HOME": folder}
+        for state in ("cold", "warm"):
+            command = [sys.executable, "-m", "pecjax.cli", "train", "--iterations", "60"]
+            command += ["--out", str(Path(folder) / state)]
+            begun = time.perf_counter()
+            with subprocess.Popen(
+                command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=surroundings
+            ) as run:
+                assert run.stderr is not None
+                for line in run.stderr:
+                    if line.startswith("iteration 1/"):
+                        found[f"first progress line, {state} cache"] = time.perf_counter() - begun
+                _, status, usage = os.wait4(run.pid, 0)
+                run.returncode = os.waitstatus_to_exitcode(status)
+            found["peak memory of training"] = usage.ru_maxrss / 1e6
+    return found
 
 
 def main() -> None:
+    """Runs the groups, prints the tables, writes the JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--out", type=Path, default=Path("throughput.json"))
+    parser.add_argument("--only", nargs="*", default=[*GROUPS, "startup"], choices=[*GROUPS, "startup"])
     args = parser.parse_args()
     use_all_cores()
-    num_devices = len(jax.devices())
-    env = pecjax.RoomsNavigation(pecjax.load_scene())
-    reference = "C MuJoCo rollout, physics alone"
-    rates = measure(
-        {
-            reference: c_physics(env),
-            "environment alone, random actions": environment(env, num_devices),
-            "PPO training end to end": training(env, num_devices),
-        },
-        args.repeats,
-    )
-    print(f"{num_devices} devices, {NUM_ENVS} environments, {env.physics_steps} physics steps a control step")
-    for name, rate in rates.items():
-        print(f"{name:36} {rate:12,.0f} control steps/s {rate / rates[reference]:6.2f} ×")
-    rows = {
-        name: {"steps_per_second": rate, "ratio": rate / rates[reference]} for name, rate in rates.items()
-    }
-    args.out.write_text(json.dumps({"rates": rows} | environment_facts(num_devices), indent=2) + "\n")
+    results: dict[str, object] = {}
+    for name in args.only:
+        print(f"\n{name}")
+        if name == "startup":
+            results[name] = startup()
+            for what, figure in results[name].items():
+                print(f"  {what:40} {figure:8.2f} {'GB' if 'memory' in what else 's'}")
+            continue
+        group = GROUPS[name]()
+        seconds = measure(group, args.repeats)
+        rates = {case: work.amount / seconds[case] for case, work in group.items()}
+        first = next(iter(rates.values()))
+        for case, rate in rates.items():
+            print(f"  {case:40} {rate:14,.0f} {group[case].unit:16} {rate / first:8.3f} ×")
+        results[name] = {case: {"rate": rate, "ratio": rate / first} for case, rate in rates.items()}
+    facts = environment_facts(len(jax.devices()))
+    args.out.write_text(json.dumps({"results": results} | facts, indent=2) + "\n")
 
 
 if __name__ == "__main__":

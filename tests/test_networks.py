@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pecjax.agents.networks import ActorCritic, NetworkSettings, encode
+from pecjax.agents.networks import ActorCritic, NetworkSettings, encode, patches
 
 ACTIONS, FAR = 15, 10.0
 MLP = NetworkSettings()
@@ -143,3 +143,15 @@ def test_encode_has_no_jump_behind_the_drone():
 
     np.testing.assert_allclose(at(np.pi - 1e-4), at(-np.pi + 1e-4), atol=3e-4)
     assert np.abs(at(0.5) - at(-0.5)).max() > 0.9  # while left and right are told apart
+
+
+@pytest.mark.parametrize(("height", "width", "size"), [(8, 12, 4), (7, 10, 4), (6, 5, 2)])
+def test_a_product_over_patches_is_a_convolution_whose_kernels_do_not_overlap(height, width, size):
+    draw = np.random.default_rng(0)
+    image = draw.normal(size=(2, height, width, 3)).astype(np.float32)
+    kernel = draw.normal(size=(size, size, 3, 5)).astype(np.float32)
+    ours = patches(jnp.asarray(image), size) @ kernel.reshape(-1, 5)
+    edge = [(0, -height % size), (0, -width % size)]
+    layout = ("NHWC", "HWIO", "NHWC")
+    theirs = jax.lax.conv_general_dilated(image, kernel, (size, size), edge, dimension_numbers=layout)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-5)

@@ -19,8 +19,8 @@ class NetworkSettings:
     """Settings of the actor and the critic, which share no layer.
 
     Attributes:
-        encoder: `mlp` flattens the image; `cnn` passes it through three strided convolutions,
-            for images of about 32 pixels and more.
+        encoder: `mlp` flattens the image; `cnn` passes it through three convolutions that shrink
+            it 16 times each way, for images of about 32 pixels and more.
         hidden: widths of the tanh layers.
         initializer: of the weights: `orthogonal` (gain √2 hidden, 0.01 actor, 1 critic) or
             `normc` (unit-norm columns, 0.01 at both outputs, as in RLlib 0.8.5).
@@ -119,7 +119,11 @@ def _dense(settings: NetworkSettings, width: int, name: str, gain: float = np.sq
 
 
 class _Convolutions(nn.Module):
-    """Three strided convolutions over the image, and what is not image as it is."""
+    """Three convolutions over the image, and what is not image as it is.
+
+    Their kernels do not overlap (4×4, 2×2, 2×2), so that each is a matrix product over patches,
+    which XLA is quick at on every device; its convolutions' gradients are slow on the CPU.
+    """
 
     image_shape: tuple[int, int]
 
@@ -127,9 +131,18 @@ class _Convolutions(nn.Module):
     def __call__(self, features: jax.Array) -> jax.Array:
         pixels = int(np.prod(self.image_shape))
         x = features[..., :pixels].reshape(*features.shape[:-1], *self.image_shape, 1)
-        for channels, kernel in ((16, 5), (32, 3), (32, 3)):
-            x = nn.relu(nn.Conv(channels, (kernel, kernel), strides=2)(x))
+        for channels, kernel in ((16, 4), (32, 2), (32, 2)):
+            x = nn.relu(nn.Dense(channels)(patches(x, kernel)))
         return jnp.concatenate([x.reshape(*x.shape[:-3], -1), features[..., pixels:]], axis=-1)
+
+
+def patches(image: jax.Array, size: int) -> jax.Array:
+    """Cuts (…, H, W, C) into squares, (…, ⌈H/size⌉, ⌈W/size⌉, size²·C), zeros beyond the edge."""
+    *batch, height, width, channels = image.shape
+    rows, columns = -(-height // size), -(-width // size)
+    edge = [(0, 0)] * len(batch) + [(0, rows * size - height), (0, columns * size - width), (0, 0)]
+    cut = jnp.pad(image, edge).reshape(*batch, rows, size, columns, size, channels)
+    return jnp.moveaxis(cut, -4, -3).reshape(*batch, rows, columns, size * size * channels)
 
 
 def forward(network: ActorCritic, params: Any, features: jax.Array) -> tuple[jax.Array, jax.Array]:

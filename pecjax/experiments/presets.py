@@ -86,7 +86,7 @@ PRESETS: dict[str, RunSettings] = {
     ),
     "image": RunSettings(
         preset="image",
-        ppo=PPOSettings(network=NetworkSettings(encoder="cnn", hidden=(128,))),
+        ppo=PPOSettings(num_envs=256, network=NetworkSettings(encoder="cnn", hidden=(64, 64))),
         resolution=(64, 48),
     ),
 }
