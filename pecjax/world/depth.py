@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pecjax.world.drone import Camera
 from pecjax.world.rotations import quaternion_to_matrix
-from pecjax.world.scene import Camera, Scene
+from pecjax.world.scene import Scene
 
 _UNROLLED_WALLS = 16  # walls tested in one fused loop over the rays
 
