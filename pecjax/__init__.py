@@ -22,5 +22,3 @@ from pecjax.world import (
     load_coordinates as load_coordinates,
     load_scene as load_scene,
 )
-
-__version__ = "0.1.0"
