@@ -22,3 +22,5 @@ from pecjax.world import (
     load_coordinates as load_coordinates,
     load_scene as load_scene,
 )
+
+__version__ = "0.1.0"
