@@ -2,8 +2,8 @@
 
 import jax
 
-# Before JAX starts: the tests of several devices need two, and CPUs can pretend to be.
-jax.config.update("jax_num_cpu_devices", 2)
+# Before JAX starts: the tests of several devices need four, and CPUs can pretend to be.
+jax.config.update("jax_num_cpu_devices", 4)
 
 import pytest  # noqa: E402
 

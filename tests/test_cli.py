@@ -22,7 +22,7 @@ TRAIN = ["train", "--iterations", "2", "--num-envs", "8", "--out", "run"]
 
 @pytest.fixture(scope="module", autouse=True)
 def own_cache(tmp_path_factory):
-    """Keeps the user's cache out of it, and the two devices that this process began with."""
+    """Keeps the user's cache out of it, and the four devices that this process began with."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         patch.setattr(devices, "use_all_cores", lambda: None)
@@ -230,7 +230,7 @@ def test_a_goal_that_no_path_reaches(command, edited_rooms, refused):
         (["--iterations", "-1"], ["iterations is -1"]),
         (["--devices", "0"], ["devices is 0"]),
         (["--devices", "-1"], ["devices is -1"]),
-        (["--devices", "3"], ["devices is 3", "has 2"]),
+        (["--devices", "5"], ["devices is 5", "has 4"]),
         (["--devices", "2", "--num-envs", "7"], ["7 environments", "2 devices"]),
         (["--seed", "-1"], ["seed is -1"]),
         (["--seed", "99999999999"], ["seed is 99999999999"]),

@@ -306,25 +306,26 @@ def assert_trees_close(one, other, atol):
     jax.tree.map(close, one, other)
 
 
-def test_two_devices_fly_and_learn_as_one(near, small):
+@pytest.mark.parametrize("devices", [2, 4])
+def test_many_devices_fly_and_learn_as_one(devices, near, small):
     init, iterate = small
-    double = near(SMALL, devices=2)
-    both = jax.jit(double.iterate)
-    one, two = init(jax.random.key(0)), double.init(jax.random.key(0))
+    shared = near(SMALL, devices=devices)
+    together = jax.jit(shared.iterate)
+    one, many = init(jax.random.key(0)), shared.init(jax.random.key(0))
     trials = 0
     for _ in range(3):
-        (one, of_one), (two, of_two) = iterate(one), both(two)
-        np.testing.assert_array_equal(one.fleet.config_id, two.fleet.config_id)
-        np.testing.assert_array_equal(of_one.counts, of_two.counts)
-        assert_trees_close(one.learner, two.learner, atol=1e-6)
+        (one, of_one), (many, of_many) = iterate(one), together(many)
+        np.testing.assert_array_equal(one.fleet.config_id, many.fleet.config_id)
+        np.testing.assert_array_equal(of_one.counts, of_many.counts)
+        assert_trees_close(one.learner, many.learner, atol=1e-6)
         # Lengths of metres and returns of thousands, after 100 physics steps in float32.
-        assert_trees_close(one.fleet, two.fleet, atol=1e-4)
-        assert_trees_close((one.sampler, one.key), (two.sampler, two.key), atol=0)
-        assert_trees_close(of_one, of_two, atol=1e-4)
+        assert_trees_close(one.fleet, many.fleet, atol=1e-4)
+        assert_trees_close((one.sampler, one.key), (many.sampler, many.key), atol=0)
+        assert_trees_close(of_one, of_many, atol=1e-4)
         trials += int(of_one.counts[0].sum())
     assert trials > SMALL.num_envs  # so that drawing anew was part of it
     # Sharing the fleet is the point of it.
-    assert len(two.fleet.config_id.sharding.device_set) == 2
+    assert len(many.fleet.config_id.sharding.device_set) == devices
 
 
 @pytest.mark.parametrize(
