@@ -5,7 +5,7 @@ import io
 
 # mjx prints a line to stdout where its optional Warp back-end is absent; stdout is for results.
 with contextlib.redirect_stdout(io.StringIO()):
-    import mujoco.mjx  # noqa: F401
+    import mujoco.mjx  # noqa: F401 - for its line alone
 
 from pecjax import agents as agents, curriculum as curriculum
 from pecjax.errors import InputError as InputError

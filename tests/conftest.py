@@ -3,6 +3,7 @@
 import jax
 
 # Before JAX starts: the tests of several devices need four, and CPUs can pretend to be.
+# What is imported below (E402) may start JAX, so it comes after.
 jax.config.update("jax_num_cpu_devices", 4)
 
 import pytest  # noqa: E402

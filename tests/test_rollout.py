@@ -180,7 +180,10 @@ def test_the_split_over_devices_changes_nothing(roll, first, batches):
     )  # fmt: skip
     fleet, trajectory, episodes = sharded(pec(3).init(), first, jax.random.key(0), jnp.arange(NUM_ENVS))
     _, expected, expected_episodes = batches[0]
-    keep = lambda t, e: (t.action, t.reward, t.done, t.obs["goal"], e)  # noqa: E731
+
+    def keep(t, e):
+        return t.action, t.reward, t.done, t.obs["goal"], e
+
     assert_same(keep(trajectory, episodes), keep(expected, expected_episodes))
     np.testing.assert_array_equal(fleet.config_id, batches[1][0].config_id)
 
