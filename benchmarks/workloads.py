@@ -17,7 +17,7 @@ from mujoco import mjx, rollout as c_rollout
 
 import pecjax
 from pecjax.agents import AXIS, fleet_mesh, ppo, ppo_update, shard
-from pecjax.agents.networks import ActorCritic, encode, forward
+from pecjax.agents.networks import ActorCritic, draw_action, encode, forward
 from pecjax.agents.rollout import Trajectory, env_keys, launch, rollout
 from pecjax.curriculum import Outcomes, Sampler
 from pecjax.world.depth import depth_image, pixel_directions
@@ -165,8 +165,8 @@ def environment(
     """Our environment under random actions: flight, depth, reward, endings, resets, draws, tally."""
     table = env.configurations
 
-    def random_actions(obs, keys):
-        return jax.vmap(lambda key: jax.random.randint(key, (), 0, env.action_size))(keys), ()
+    def random_actions(obs, chance):
+        return (chance * env.action_size).astype(jnp.int32), ()
 
     def batch(fleet, sampler_state, key):
         num_local = fleet.config_id.shape[0]
@@ -230,12 +230,14 @@ def learner(
     trajectory = Trajectory(None, action, reward, reward > 2, (features, logits, value))
 
     def act(params, obs, key):
-        def step(key, row):
-            logits, _ = forward(network, params, encode(row, camera.far))
-            key, now = jax.random.split(key)
-            return key, jax.random.categorical(now, logits)
+        chances = jax.random.uniform(key, obs["goal"].shape[:2])
 
-        return jax.lax.scan(step, key, obs)[1]
+        def step(_, row):
+            obs, chance = row
+            logits, _ = forward(network, params, encode(obs, camera.far))
+            return None, draw_action(logits, chance)
+
+        return jax.lax.scan(step, None, (obs, chances))[1]
 
     def update(state, trajectory, key):
         batch = ppo_update.prepare(settings, trajectory, trajectory.reward[0], AXIS)

@@ -148,3 +148,9 @@ def patches(image: jax.Array, size: int) -> jax.Array:
 def forward(network: ActorCritic, params: Any, features: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Action logits (…, A) and values (…,) under the given parameters."""
     return cast(tuple[jax.Array, jax.Array], network.apply(params, features))
+
+
+def draw_action(logits: jax.Array, chance: jax.Array) -> jax.Array:
+    """Draws from softmax(logits) (…, A), inverting its distribution function at `chance` (…,)."""
+    reached = jnp.cumsum(jax.nn.softmax(logits), axis=-1)[..., :-1]
+    return jnp.sum(chance[..., None] >= reached, axis=-1, dtype=jnp.int32)

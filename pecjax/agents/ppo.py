@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from pecjax.agents.agent import Agent, Metrics, TrainState, summarize
-from pecjax.agents.networks import ActorCritic, encode, forward
+from pecjax.agents.networks import ActorCritic, draw_action, encode, forward
 from pecjax.agents.ppo_update import Learner, PPOSettings, make_optimizer, prepare, update
 from pecjax.agents.rollout import launch, rollout
 from pecjax.curriculum.sampler import Sampler
@@ -49,10 +49,10 @@ def make(
         learner = state.learner
         key, key_rollout, key_update = jax.random.split(state.key, 3)
 
-        def act(obs: Any, keys: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array, jax.Array]]:
+        def act(obs: Any, chance: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array, jax.Array]]:
             features = encode(obs, camera.far)
             logits, value = forward(network, learner.params, features)
-            return jax.vmap(jax.random.categorical)(keys, logits), (features, logits, value)
+            return draw_action(logits, chance), (features, logits, value)
 
         num_local = state.fleet.config_id.shape[0]
         first = 0 if axis_name is None else jax.lax.axis_index(axis_name) * num_local
@@ -77,7 +77,7 @@ def make(
     def policy(learner: Learner, greedy: bool = False):
         def act(obs: Any, key: jax.Array) -> jax.Array:
             logits, _ = forward(network, learner.params, encode(obs, camera.far))
-            return jnp.argmax(logits) if greedy else jax.random.categorical(key, logits)
+            return jnp.argmax(logits) if greedy else draw_action(logits, jax.random.uniform(key))
 
         return act
 

@@ -13,7 +13,8 @@ from pecjax.curriculum.sampler import Outcomes, Sampler
 from pecjax.world.coordinates import Configurations
 from pecjax.world.navigation import RoomsNavigation
 
-# (observations (B, …), keys (B,)) -> actions (B,) and whatever else the agent wants recorded
+# (observations (B, …), chance (B,)) -> actions (B,) and whatever else the agent wants recorded;
+# chance is uniform in [0, 1), all the randomness that an action may have
 Act = Callable[[Any, jax.Array], tuple[jax.Array, Any]]
 
 
@@ -121,11 +122,11 @@ def rollout(
     """
     key_draw, key_act = jax.random.split(key)
     draws = draw_episodes(sampler, sampler_state, env_keys(key_draw, env_ids), num_steps)
-    act_keys = jax.vmap(lambda k: jax.random.split(k, num_steps), out_axes=1)(env_keys(key_act, env_ids))
+    chances = jax.vmap(lambda k: jax.random.uniform(k, (num_steps,)), out_axes=1)(env_keys(key_act, env_ids))
 
     def step(fleet: Fleet, row: tuple) -> tuple[Fleet, tuple[Trajectory, Episodes]]:
-        (next_id, next_heading), keys = row
-        action, extras = act(fleet.state.obs, keys)
+        (next_id, next_heading), chance = row
+        action, extras = act(fleet.state.obs, chance)
         flown = jax.vmap(env.advance)(fleet.state, action)
         done = flown.done.astype(bool)
         episode_return = fleet.episode_return + flown.reward
@@ -149,5 +150,5 @@ def rollout(
         )
         return fleet, (trajectory, episodes)
 
-    fleet, (trajectory, episodes) = jax.lax.scan(step, fleet, (draws, act_keys))
+    fleet, (trajectory, episodes) = jax.lax.scan(step, fleet, (draws, chances))
     return fleet, trajectory, episodes
