@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import special, stats
 
-from pecjax.agents.networks import ActorCritic, NetworkSettings, encode, patches
+from pecjax.agents.networks import ActorCritic, NetworkSettings, draw_action, encode, patches
 
 ACTIONS, FAR = 15, 10.0
 MLP = NetworkSettings()
@@ -155,3 +156,26 @@ def test_a_product_over_patches_is_a_convolution_whose_kernels_do_not_overlap(he
     layout = ("NHWC", "HWIO", "NHWC")
     theirs = jax.lax.conv_general_dilated(image, kernel, (size, size), edge, dimension_numbers=layout)
     np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-5)
+
+
+def test_an_action_is_the_distribution_function_inverted():
+    draw = np.random.default_rng(1)
+    logits, chance = draw.normal(size=(500, 15)), draw.uniform(size=500)
+    weights = np.exp(logits)
+    reached = np.cumsum(weights, axis=1) / weights.sum(axis=1, keepdims=True)
+    expected = [np.searchsorted(row, at, side="right") for row, at in zip(reached, chance, strict=True)]
+    np.testing.assert_array_equal(draw_action(jnp.float32(logits), jnp.float32(chance)), expected)
+
+
+def test_drawn_actions_are_as_frequent_as_they_are_likely():
+    logits = jnp.array([0.0, 3.0, -jnp.inf, 1.0])
+    drawn = draw_action(jnp.tile(logits, (10**5, 1)), jax.random.uniform(jax.random.key(0), (10**5,)))
+    found, likely = np.bincount(drawn, minlength=4), special.softmax(np.float64(logits))
+    assert found[2] == 0
+    assert stats.chisquare(found[likely > 0], 1e5 * likely[likely > 0]).pvalue > 1e-3
+
+
+def test_an_action_is_never_one_too_many():
+    # In float32 these 15 equal likelihoods may add up to less than the greatest chance.
+    greatest = np.nextafter(np.float32(1), np.float32(0))
+    assert draw_action(jnp.zeros(15), jnp.asarray(greatest)) == 14

@@ -313,11 +313,12 @@ def test_many_devices_fly_and_learn_as_one(devices, near, small):
     together = jax.jit(shared.iterate)
     one, many = init(jax.random.key(0)), shared.init(jax.random.key(0))
     trials = 0
-    for _ in range(3):
+    for _ in range(20):
         (one, of_one), (many, of_many) = iterate(one), together(many)
         np.testing.assert_array_equal(one.fleet.config_id, many.fleet.config_id)
         np.testing.assert_array_equal(of_one.counts, of_many.counts)
-        assert_trees_close(one.learner, many.learner, atol=1e-6)
+        # A sum's rounding, 1e-7 after the first iteration, grows by Adam's division.
+        assert_trees_close(one.learner, many.learner, atol=1e-5)
         # Lengths of metres and returns of thousands, after 100 physics steps in float32.
         assert_trees_close(one.fleet, many.fleet, atol=1e-4)
         assert_trees_close((one.sampler, one.key), (many.sampler, many.key), atol=0)

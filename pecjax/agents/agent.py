@@ -99,7 +99,4 @@ def shard(agent: Agent, mesh: Mesh) -> Agent:
         check_vma=False,
     )
 
-    def init(key: jax.Array) -> TrainState:
-        return TrainState(*map(jax.device_put, jax.jit(agent.init)(key), placement))
-
-    return agent._replace(init=init, iterate=iterate)
+    return agent._replace(init=jax.jit(agent.init, out_shardings=placement), iterate=iterate)

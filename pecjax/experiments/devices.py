@@ -25,7 +25,7 @@ def keep_compiled_programs() -> str:
     """Turns on JAX's persistent compilation cache in the user's cache folder; returns the folder."""
     folder = os.path.join(platformdirs.user_cache_dir("pecjax"), "compiled")
     jax.config.update("jax_compilation_cache_dir", folder)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     if jax.config.jax_logging_level in (None, "NOTSET"):
         # XLA warns of every program it loads that LLVM's tuning hints are no features of this
         # machine, in lines of 3,000 characters (jax issue 38445); the programs run all the same.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +14,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from pecjax.agents import ppo
-from pecjax.agents.agent import AXIS, Agent, fleet_mesh, shard
+from pecjax.agents.agent import AXIS, Agent, Metrics, TrainState, fleet_mesh, shard
 from pecjax.curriculum import Sampler
 from pecjax.experiments import evaluation, tables
 from pecjax.experiments.checkpoint import Checkpoints
@@ -54,6 +55,16 @@ def abstract_learner(run: Run) -> Any:
     everywhere = NamedSharding(run.mesh, PartitionSpec())
     state = jax.eval_shape(run.agent.init, jax.random.key(0))
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=everywhere), state.learner)
+
+
+def start(run: Run, seed: int) -> tuple[TrainState, Callable[[TrainState], tuple[TrainState, Metrics]]]:
+    """The first state and the compiled iteration, the one prepared while the other compiles."""
+    key = jax.random.key(seed)
+    init = jax.jit(run.agent.init).lower(key)
+    with ThreadPoolExecutor(1) as aside:
+        state = aside.submit(lambda: init.compile()(key))
+        iterate = jax.jit(run.agent.iterate, donate_argnums=0).trace(init.out_info)
+        return state.result(), iterate.lower().compile()
 
 
 def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable[[Any], evaluation.Flights]:
@@ -102,8 +113,7 @@ def _loop(settings: RunSettings, run: Run, directory: RunDirectory, progress: Ru
     checkpoints = Checkpoints(directory.folder)
     clock = _Clock()
     with clock.compiling():
-        state = run.agent.init(jax.random.key(settings.seed))
-        iterate = jax.jit(run.agent.iterate, donate_argnums=0).lower(state).compile()
+        state, iterate = start(run, settings.seed)
         probabilities = jax.jit(run.sampler.probabilities)
     progress.say(f"compiled in {clock.compile_seconds:.1f} s")
 
