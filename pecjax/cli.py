@@ -33,21 +33,25 @@ class Train:
     """Trains a drone and writes a run folder with its figures.
 
     Attributes:
-        preset: where the settings begin from: fast, rllib085 (the paper's own), or image (64×48).
-        algorithm: the learner: ppo.
+        preset: where the settings begin from: fast, rllib085 (the paper's own) or image (64×48) for
+            ppo, apex-fast or apex-rllib085 for apex. (default: fast or apex-fast)
+        algorithm: the learner: ppo or apex. (default: the preset's)
         sampler: how the next configuration is chosen: pec or uniform.
         alpha: α of PEC, 0 or more; the larger, the nearer to uniform. (default: 0.2)
         coordinates: the paper's set 1 or 2, or a file of lines 'x, y, x, y'. (default: 1)
         scene: a map and drone in MJCF. (default: the paper's six rooms)
         seed: of everything random in training. (default: 0)
         iterations: how many to train for. (default: the preset's)
+        until_goal_ratio: stops once the training goal ratio has reached it in so many iterations in a
+            row as patience says.
+        patience: see there. (default: 5)
         num_envs: environments flown side by side. (default: the preset's)
         devices: how many share them. (default: all that divide them evenly)
         out: the run's folder. (default: a new one under runs/)
         sampled_evaluation: evaluates with drawn actions instead of the likeliest ones.
     """
 
-    preset: str = "fast"
+    preset: str | None = None
     algorithm: str | None = None
     sampler: str | None = None
     alpha: float | None = None
@@ -55,6 +59,8 @@ class Train:
     scene: str | None = None
     seed: int | None = None
     iterations: int | None = None
+    until_goal_ratio: float | None = None
+    patience: int | None = None
     num_envs: int | None = None
     devices: int | None = None
     out: Path | None = None
@@ -63,15 +69,16 @@ class Train:
     def run(self) -> None:
         """Trains, then draws."""
         settings = presets.override(
-            presets.find_preset(self.preset),
+            presets.find_preset(self.preset, self.algorithm),
             num_envs=self.num_envs,
-            algorithm=self.algorithm,
             sampler=self.sampler,
             alpha=self.alpha,
             coordinates=self.coordinates,
             scene=self.scene,
             seed=self.seed,
             iterations=self.iterations,
+            until_goal_ratio=self.until_goal_ratio,
+            patience=self.patience,
             greedy=False if self.sampled_evaluation else None,
         )
         folder = self.out or Path("runs") / time.strftime(f"{settings.sampler}-%Y%m%d-%H%M%S")
@@ -116,7 +123,7 @@ class Eval:
             greedy=not self.sampled,
         )
         presets.check_settings(settings)
-        num_devices = devices.choose_num_devices(None, settings.ppo.num_envs)
+        num_devices = devices.choose_num_devices(None, settings.learner.shares)
         scene = load_scene(directory.scene_path, settings.resolution)
         run = training.build(settings, scene, directory.table(), num_devices)
         like = training.abstract_learner(run)

@@ -1,6 +1,6 @@
 """Agents: who learns."""
 
-from pecjax.agents import ppo as ppo
+from pecjax.agents import apex as apex, ppo as ppo
 from pecjax.agents.agent import (
     AXIS as AXIS,
     Agent as Agent,

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from pecjax.agents.rollout import Episodes
@@ -22,7 +23,8 @@ class TrainState(NamedTuple):
     Attributes:
         learner: parameters and optimiser, the agent's own.
         sampler: the sampler's state.
-        fleet: the environments; the only part that is spread over devices.
+        fleet: the environments and what the agent keeps of each; the only part that is spread
+            over devices, by its leading axis.
         key: of all randomness to come.
     """
 
@@ -37,11 +39,14 @@ class Metrics(NamedTuple):
 
     Attributes:
         counts: (2, N) int32, trials and failures of this iteration by configuration.
+        watched: (2,) int32, trials and failures that its goal ratio is of: all, or those of the
+            actors that explore least.
         return_sum, length_sum: over the episodes that ended.
         losses: the learner's own figures by name.
     """
 
     counts: jax.Array
+    watched: jax.Array
     return_sum: jax.Array
     length_sum: jax.Array
     losses: dict[str, jax.Array]
@@ -57,23 +62,43 @@ class Agent(NamedTuple):
         policy: (TrainState.learner, greedy=False) -> act, where act(obs, key) -> action for a
             single observation.
         steps_per_iteration: environment steps of one iteration, over all environments.
+        replay_bytes: that the replay takes, over all devices.
     """
 
     init: Callable[[jax.Array], TrainState]
     iterate: Callable[[TrainState], tuple[TrainState, Metrics]]
     policy: Callable[..., Callable[[Any, jax.Array], jax.Array]]
     steps_per_iteration: int
+    replay_bytes: int = 0
 
 
 def summarize(
-    episodes: Episodes, losses: dict[str, jax.Array], num_configs: int, axis_name: str | None
+    episodes: Episodes,
+    losses: dict[str, jax.Array],
+    num_configs: int,
+    axis_name: str | None,
+    watched: jax.Array | bool = True,
 ) -> Metrics:
-    """Sums an iteration's endings over its steps, environments and devices."""
-    done = episodes.outcomes.done
+    """Sums an iteration's endings over its steps, environments and devices.
+
+    Args:
+        watched: (B,) bool, the environments that the goal ratio is taken over.
+    """
+    done, failed = episodes.outcomes.done, episodes.outcomes.failed
+    seen = jnp.stack([jnp.sum(done & watched), jnp.sum(failed & watched)])
     return_sum, length_sum = jnp.sum(done * episodes.returns), jnp.sum(done * episodes.lengths)
     if axis_name is not None:
-        return_sum, length_sum = jax.lax.psum((return_sum, length_sum), axis_name)
-    return Metrics(tally(episodes.outcomes, num_configs, axis_name), return_sum, length_sum, losses)
+        seen, return_sum, length_sum = jax.lax.psum((seen, return_sum, length_sum), axis_name)
+    counts = tally(episodes.outcomes, num_configs, axis_name)
+    return Metrics(counts, seen, return_sum, length_sum, losses)
+
+
+def device_mean(tree: Any, axis_name: str | None) -> Any:
+    """The mean over devices, in one sum for all arrays: each sum costs a rendezvous."""
+    if axis_name is None:
+        return tree
+    flat, unflatten = ravel_pytree(tree)
+    return unflatten(jax.lax.pmean(flat, axis_name))
 
 
 def fleet_mesh(num_devices: int) -> Mesh:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
-from jax.flatten_util import ravel_pytree
 
+from pecjax.agents.agent import device_mean
 from pecjax.agents.networks import ActorCritic, NetworkSettings, forward
 from pecjax.agents.returns import generalized_advantage
 from pecjax.agents.rollout import Trajectory
@@ -61,6 +61,15 @@ class PPOSettings:
     def rows(self) -> int:
         """What a minibatch is drawn from: how many time steps, or samples."""
         return self.num_steps * (self.num_envs if self.shuffle == "samples" else 1)
+
+    @property
+    def shares(self) -> int:
+        """What devices must divide: the environments."""
+        return self.num_envs
+
+    def with_envs(self, num_envs: int) -> PPOSettings:
+        """The same with another number of environments."""
+        return replace(self, num_envs=num_envs)
 
     def check(self) -> None:
         """Raises InputError where the batch cannot be cut into the minibatches."""
@@ -114,8 +123,8 @@ def prepare(
         settings.gae_lambda,
     )
     target = advantage + value
-    mean = _device_mean(advantage.mean(), axis_name)
-    deviation = jnp.sqrt(_device_mean(jnp.square(advantage - mean).mean(), axis_name))
+    mean = device_mean(advantage.mean(), axis_name)
+    deviation = jnp.sqrt(device_mean(jnp.square(advantage - mean).mean(), axis_name))
     advantage = (advantage - mean) / jnp.maximum(1e-4, deviation)
     return Batch(features, trajectory.action, logits, value, advantage, target)
 
@@ -180,9 +189,7 @@ def update(
         gradient, terms = jax.grad(
             lambda p: loss(network, settings, p, minibatch, learner.kl_coeff), has_aux=True
         )(params)
-        # One sum over devices for all arrays: each costs a rendezvous.
-        flat, unflatten = ravel_pytree((gradient, terms))
-        gradient, terms = unflatten(_device_mean(flat, axis_name))
+        gradient, terms = device_mean((gradient, terms), axis_name)
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
         return (optax.apply_updates(params, updates), optimizer_state), terms
 
@@ -219,7 +226,3 @@ def _own_share(rows: jax.Array, axis_name: str) -> jax.Array:
     if rows.size % num_devices:
         return rows
     return rows.reshape(num_devices, -1)[jax.lax.axis_index(axis_name)]
-
-
-def _device_mean(tree: Any, axis_name: str | None) -> Any:
-    return tree if axis_name is None else jax.lax.pmean(tree, axis_name)

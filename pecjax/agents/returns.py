@@ -39,3 +39,27 @@ def generalized_advantage(
         return advantage, advantage
 
     return jax.lax.scan(step, jnp.zeros_like(last_value), (deltas, going_on), reverse=True)[1]
+
+
+def n_step_return(
+    rewards: jax.Array, dones: jax.Array, num_steps: int, discount: float
+) -> tuple[jax.Array, jax.Array]:
+    """The n-step return of every window of n steps, and the discount of the value that follows it.
+
+        R_t = Σ_{k<n} γᵏ r_{t+k} Π_{i<k} (1 − d_{t+i})
+        D_t = γⁿ Π_{i<n} (1 − d_{t+i})
+
+    so that R_t + D_t V(s_{t+n}) is the target, and nothing is taken from beyond an ending.
+
+    Args:
+        rewards, dones: (T, …).
+
+    Returns:
+        (T − n + 1, …) each. Oracle: `rlax.n_step_bootstrapped_returns`.
+    """
+    windows = rewards.shape[0] - num_steps + 1
+    total, going_on = jnp.zeros_like(rewards[:windows]), jnp.ones_like(rewards[:windows])
+    for k in range(num_steps):
+        total = total + going_on * rewards[k : k + windows]
+        going_on = going_on * discount * (1 - dones[k : k + windows])
+    return total, going_on

@@ -33,19 +33,39 @@ def keep_compiled_programs() -> str:
     return folder
 
 
-def choose_num_devices(wanted: int | None, num_envs: int) -> int:
-    """How many devices share `num_envs` environments: as wanted, or as many as divide them.
+def choose_num_devices(wanted: int | None, shares: int) -> int:
+    """How many devices share the work: as wanted, or as many as divide it.
+
+    Args:
+        shares: how many equal parts it can be cut into: environments, or the replay's shards.
 
     Raises:
         InputError: fewer than 1 wanted, more than there are, or a number that does not divide.
     """
     available = len(jax.devices())
     if wanted is None:
-        return max(d for d in range(1, available + 1) if num_envs % d == 0)
+        return max(d for d in range(1, available + 1) if shares % d == 0)
     if not 1 <= wanted <= available:
         raise InputError(f"devices is {wanted}; this machine has {available}, give 1 to {available}")
-    if num_envs % wanted:
+    if shares % wanted:
         raise InputError(
-            f"{num_envs} environments cannot be shared evenly by {wanted} devices; change either"
+            f"{shares} environments or replay shards cannot be shared evenly by {wanted} devices; "
+            "change either"
         )
     return wanted
+
+
+def check_memory(needed: int, num_devices: int) -> None:
+    """Makes sure that so many bytes, spread over devices, can be had at all.
+
+    Raises:
+        InputError: they cannot.
+    """
+    limits = jax.devices()[0].memory_stats() or {}
+    there = limits.get("bytes_limit", 0) * num_devices
+    there = there or os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if needed > there:
+        raise InputError(
+            f"the replay takes {needed / 1e9:.1f} GB and there are {there / 1e9:.1f} GB of memory; "
+            "keep fewer or smaller images"
+        )

@@ -16,7 +16,8 @@ DRAWN_FLIGHTS = 2  # of each configuration, kept in trajectories.csv
 
 def metrics_row(iteration: int, batch: int, seconds: float, metrics: Metrics) -> Row:
     """One row of metrics.csv, for an iteration of `batch` environment steps."""
-    trials, failures = np.asarray(metrics.counts).sum(axis=1).tolist()
+    trials = int(np.asarray(metrics.counts)[0].sum())
+    watched, failures = np.asarray(metrics.watched).tolist()
 
     def mean(total: float) -> float:
         return total / trials if trials else float("nan")
@@ -25,7 +26,7 @@ def metrics_row(iteration: int, batch: int, seconds: float, metrics: Metrics) ->
         "iteration": iteration,
         "env_steps": iteration * batch,
         "seconds": round(seconds, 3),
-        "goal_ratio": mean(trials - failures),
+        "goal_ratio": (watched - failures) / watched if watched else float("nan"),
         "episodes": trials,
         "mean_return": mean(float(metrics.return_sum)),
         "mean_length": mean(float(metrics.length_sum)),

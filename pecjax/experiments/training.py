@@ -13,12 +13,12 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from pecjax.agents import ppo
+from pecjax.agents import apex, ppo
 from pecjax.agents.agent import AXIS, Agent, Metrics, TrainState, fleet_mesh, shard
 from pecjax.curriculum import Sampler
 from pecjax.experiments import evaluation, tables
 from pecjax.experiments.checkpoint import Checkpoints
-from pecjax.experiments.devices import choose_num_devices
+from pecjax.experiments.devices import check_memory, choose_num_devices
 from pecjax.experiments.presets import SAMPLERS, RunSettings, check_settings
 from pecjax.experiments.progress import RunProgress
 from pecjax.experiments.run_directory import RunDirectory, check_free
@@ -46,7 +46,12 @@ def build(settings: RunSettings, scene: Scene, table: Configurations, num_device
     env = RoomsNavigation(scene, table)
     sampler = SAMPLERS[settings.sampler](table.size, settings.alpha)
     mesh = fleet_mesh(num_devices)
-    agent = shard(ppo.make(env, table, sampler, settings.ppo, AXIS), mesh)
+    if settings.algorithm == "apex":
+        agent = apex.make(env, table, sampler, settings.apex, AXIS)
+    else:
+        agent = ppo.make(env, table, sampler, settings.ppo, AXIS)
+    check_memory(agent.replay_bytes, num_devices)
+    agent = shard(agent, mesh)
     return Run(env, table, sampler, agent, mesh)
 
 
@@ -96,7 +101,7 @@ def train(settings: RunSettings, folder: Path, devices: int | None = None) -> di
     check_settings(settings)
     scene_path = Path(settings.scene) if settings.scene is not None else default_scene_path()
     table = load_coordinates(settings.coordinates)
-    num_devices = choose_num_devices(devices, settings.ppo.num_envs)
+    num_devices = choose_num_devices(devices, settings.learner.shares)
     scene = load_scene(scene_path, settings.resolution)
     check_coordinates(scene, table, flight_height=NavigationSettings().flight_height)
     build(settings, scene, table, num_devices)
@@ -105,7 +110,9 @@ def train(settings: RunSettings, folder: Path, devices: int | None = None) -> di
     directory.create(settings, scene_path, table, num_devices)
     run = build(settings, load_scene(directory.scene_path, settings.resolution), table, num_devices)
     with RunProgress(settings.iterations) as progress:
-        progress.say(f"{folder}: {settings.ppo.num_envs} environments on {num_devices} device(s)")
+        progress.say(f"{folder}: {settings.learner.num_envs} environments on {num_devices} device(s)")
+        if run.agent.replay_bytes:
+            progress.say(f"replay: {run.agent.replay_bytes / 1e6:,.0f} MB")
         return _loop(settings, run, directory, progress)
 
 
@@ -120,13 +127,17 @@ def _loop(settings: RunSettings, run: Run, directory: RunDirectory, progress: Ru
     counts = np.zeros((2, run.table.size), np.int64)
     evaluate = None
     row, evaluated = {}, {}
-    for iteration in range(1, settings.iterations + 1):
-        last = iteration == settings.iterations
+    held, last, iteration = 0, False, 0
+    while not last:
+        iteration += 1
         state, metrics = iterate(state)
         metrics = jax.device_get(metrics)
         counts += metrics.counts
         row = tables.metrics_row(iteration, run.agent.steps_per_iteration, clock.seconds(), metrics)
         directory.append("metrics.csv", [row])
+        goal_ratio = settings.until_goal_ratio
+        held = held + 1 if goal_ratio is not None and row["goal_ratio"] >= goal_ratio else 0
+        last = iteration == settings.iterations or held == settings.patience
         if iteration == 1 or iteration % settings.configurations_every == 0 or last:
             drawn_with = np.asarray(probabilities(state.sampler))
             directory.append("configurations.csv", tables.configuration_rows(iteration, counts, drawn_with))
@@ -148,7 +159,7 @@ def _loop(settings: RunSettings, run: Run, directory: RunDirectory, progress: Ru
 
     seconds = clock.seconds()
     summary = {
-        "iterations": settings.iterations,
+        "iterations": iteration,
         "env_steps": row["env_steps"],
         "seconds": round(seconds, 2),
         "compile_seconds": round(clock.compile_seconds, 2),

@@ -1,0 +1,72 @@
+"""Sum tree: numbers drawn in proportion to their priorities, in logarithmic time."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+# A tree over C leaves, C a power of two, is one array (2 C,): node i is the sum of nodes 2 i and
+# 2 i + 1, node 1 the root, and nodes from C on the leaves. Parents are always added up anew from
+# their children: nothing drifts, and a leaf may be set twice at once.
+
+
+def empty(capacity: int) -> jax.Array:
+    """A tree of zeros with at least `capacity` leaves."""
+    return jnp.zeros(2 << max(capacity - 1, 1).bit_length(), jnp.float32)
+
+
+def total(tree: jax.Array) -> jax.Array:
+    """The sum of all leaves."""
+    return tree[1]
+
+
+def get_leaves(tree: jax.Array, leaves: jax.Array) -> jax.Array:
+    """What the leaves of these numbers hold."""
+    return tree[leaves + tree.size // 2]
+
+
+def set_leaves(tree: jax.Array, leaves: jax.Array, priorities: jax.Array) -> jax.Array:
+    """Sets leaves (M,) to priorities (M,), 0 or more.
+
+    Of a leaf that is named twice one of the priorities holds, and the sums above are right.
+    """
+    nodes = leaves + tree.size // 2
+    depth = (tree.size // 2).bit_length() - 1
+
+    def up(_: int, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        tree, nodes = carry
+        nodes = nodes // 2
+        return tree.at[nodes].set(tree[2 * nodes] + tree[2 * nodes + 1]), nodes
+
+    return jax.lax.fori_loop(0, depth, up, (tree.at[nodes].set(priorities), nodes))[0]
+
+
+def find(tree: jax.Array, mass: jax.Array) -> jax.Array:
+    """The leaves (M,) at which the running sum of priorities first exceeds mass (M,) of [0, total).
+
+    A leaf of priority 0 is never found while there is another.
+    """
+
+    def down(_: int, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        nodes, mass = carry
+        left, right = tree[2 * nodes], tree[2 * nodes + 1]
+        # Where rounding has left more mass than there is, the last leaf with any is meant.
+        go_left = (mass < left) | (right == 0)
+        return 2 * nodes + jnp.where(go_left, 0, 1), jnp.where(go_left, mass, mass - left)
+
+    depth = (tree.size // 2).bit_length() - 1
+    nodes, _ = jax.lax.fori_loop(0, depth, down, (jnp.ones(mass.shape, jnp.int32), mass))
+    return nodes - tree.size // 2
+
+
+def draw(tree: jax.Array, key: jax.Array, number: int, stratified: bool) -> jax.Array:
+    """Leaves (number,) drawn with P = p / Σ p (Schaul et al. 2016, Eq. 1), with replacement.
+
+    Args:
+        stratified: takes one draw from each of `number` equal parts of the total (their §3.3),
+            else all independently.
+    """
+    chance = jax.random.uniform(key, (number,))
+    if stratified:
+        chance = (jnp.arange(number) + chance) / number
+    return find(tree, chance * total(tree))
