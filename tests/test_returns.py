@@ -1,5 +1,7 @@
 """Advantages against rlax and against the linear filter that RLlib computes them with."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 import rlax
 from scipy.signal import lfilter
 
-from pecjax.agents.returns import generalized_advantage
+from pecjax.agents.returns import generalized_advantage, n_step_return
 
 STEPS, ENVS = 37, 5
 
@@ -81,3 +83,18 @@ def test_the_step_limit_of_the_environment_is_such_an_ending(env):
         0.95,
     )
     np.testing.assert_allclose(advantage[0, 0], -1001 - value)
+
+
+@pytest.mark.parametrize("number", [1, 3, 5])
+def test_n_step_returns_equal_rlax_with_endings_inside_the_window(number):
+    rewards, values, dones = batch(seed=2, done_ratio=0.2)
+    total, going_on = n_step_return(jnp.asarray(rewards), jnp.asarray(dones), number, 0.99)
+    ahead = values[number:]  # of the observation after each window
+    ours = total + going_on * ahead
+    one_env = partial(rlax.n_step_bootstrapped_returns, n=number)
+    theirs = jax.vmap(one_env, in_axes=1, out_axes=1)(
+        jnp.asarray(rewards), jnp.asarray(0.99 * (1 - dones)), jnp.asarray(values[1:])
+    )
+    # Towards its end rlax bootstraps from shorter windows, which we do not have.
+    np.testing.assert_allclose(ours, theirs[: len(ours)], rtol=1e-5, atol=1e-3)
+    assert going_on.shape == (STEPS - number + 1, ENVS) and 0 < (going_on == 0).mean() < 1

@@ -12,7 +12,8 @@ from matplotlib.image import imread
 
 import pecjax
 from pecjax.agents.networks import NetworkSettings
-from pecjax.experiments import figures, training
+from pecjax.agents.replay import ReplaySettings
+from pecjax.experiments import figures, presets, training
 from pecjax.experiments.checkpoint import Checkpoints
 from pecjax.experiments.evaluation import goal_ratios
 from pecjax.experiments.presets import PRESETS
@@ -220,3 +221,60 @@ def test_a_folder_is_not_written_twice(run, folders):
     with pytest.raises(pecjax.InputError, match="is not empty"):
         training.train(TINY, folders / "notes")
     assert [path.name for path in (folders / "notes").iterdir()] == ["mine.txt"]
+
+
+SOON = pecjax.Configurations(
+    np.array([[0, -2], [5, -2.4], [-5, -2]], np.float32),
+    np.array([[0.7, -2], [5, -3.2], [-5, -1.2]], np.float32),
+)
+
+
+@pytest.fixture(scope="module")
+def near_goals(folders):
+    path = folders / "near.csv"
+    np.savetxt(path, np.hstack([SOON.start, SOON.goal]), delimiter=",")
+    return str(path)
+
+
+def test_a_run_of_apex_leaves_the_same_files_and_its_policy_can_be_had(folders, near_goals, capsys):
+    settings = presets.override(presets.find_preset(algorithm="apex"), num_envs=8, coordinates=near_goals)
+    assert settings.apex.fragment * 8 == PRESETS["apex-fast"].apex.fragment * 512
+    small = replace(settings.apex, num_steps=128, learning_starts=1024, replay=ReplaySettings(capacity=4096))
+    settings = replace(settings, apex=small, iterations=3, evaluate_every=2, evaluation_episodes=6)
+    folder = folders / "apex"
+    summary = training.train(settings, folder, devices=2)
+    metrics = pd.read_csv(folder / "metrics.csv")
+    assert metrics.env_steps.tolist() == [1024, 2048, 3072] and summary["env_steps"] == 3072
+    rounds = 3 * 128 // settings.apex.fragment
+    assert metrics.updates.iloc[-1] == rounds * settings.apex.updates
+    assert (metrics.episodes > 0).all() and metrics.goal_ratio.between(0, 1).all()
+    counts = pd.read_csv(folder / "configurations.csv")
+    assert counts[counts.iteration == 3].trials.sum() == metrics.episodes.sum()
+    assert "replay: 1 MB" in capsys.readouterr().err
+    assert figures.draw_run(folder)
+    directory = RunDirectory(folder)
+    assert directory.settings() == settings
+    again = training.build(settings, load_scene(directory.scene_path), directory.table(), num_devices=2)
+    iteration, learner = Checkpoints(folder).load_learner(training.abstract_learner(again))
+    flights = training.compile_evaluator(again, settings, learner)(learner)
+    assert iteration == 3 and flights.goal.mean() == summary["uniform_evaluation"]["goal_ratio"]
+
+
+def test_a_run_ends_once_its_goal_ratio_has_been_held(folders, near_goals):
+    # Whatever is flown, some of goals so near are reached; three in a row are asked of ten.
+    settings = replace(TINY, coordinates=near_goals, iterations=10, until_goal_ratio=0.01, patience=3)
+    summary = training.train(settings, folders / "held")
+    ratios = pd.read_csv(folders / "held" / "metrics.csv").goal_ratio
+    held = (ratios >= 0.01).rolling(3).sum() == 3
+    assert held.any() and summary["iterations"] == len(ratios) == held.idxmax() + 1 < 10
+    # It ends like any other: with an evaluation and a checkpoint.
+    assert pd.read_csv(folders / "held" / "evaluation.csv").iteration.iloc[-1] == len(ratios)
+    assert Checkpoints(folders / "held").iterations()[-1] == len(ratios)
+
+
+def test_a_replay_that_cannot_fit_is_refused_before_anything_is_written(folders):
+    huge = replace(PRESETS["apex-fast"].apex, replay=ReplaySettings(capacity=2**36))
+    settings = replace(PRESETS["apex-fast"], apex=huge)
+    with pytest.raises(pecjax.InputError, match=r"the replay takes \d+\.\d GB and there are"):
+        training.train(settings, folders / "huge")
+    assert not (folders / "huge").exists()

@@ -85,7 +85,7 @@ def summarize(
         watched: (B,) bool, the environments that the goal ratio is taken over.
     """
     done, failed = episodes.outcomes.done, episodes.outcomes.failed
-    seen = jnp.stack([jnp.sum(done & watched), jnp.sum(failed & watched)])
+    seen = jnp.stack([jnp.sum(done & watched), jnp.sum(done & failed & watched)])
     return_sum, length_sum = jnp.sum(done * episodes.returns), jnp.sum(done * episodes.lengths)
     if axis_name is not None:
         seen, return_sum, length_sum = jax.lax.psum((seen, return_sum, length_sum), axis_name)

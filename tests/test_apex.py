@@ -1,0 +1,301 @@
+"""Ape-X against rlax, hand tables, and a task small enough to know its values exactly."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import rlax
+from brax.envs.base import State
+from scipy import stats
+
+import pecjax
+from pecjax import InputError
+from pecjax.agents import AXIS, apex, apex_update, fleet_mesh, replay, shard
+from pecjax.agents.apex_update import ApexSettings
+from pecjax.agents.networks import encode
+from pecjax.agents.q_network import QNetwork, QNetworkSettings, action_values
+from pecjax.agents.replay import ReplaySettings
+from pecjax.experiments.presets import PRESETS
+from pecjax.world.drone import Camera
+
+FAR = 10.0
+
+
+class TwoStates:
+    """Two rooms A and B. Staying pays 0.1 in A and -0.1 in B; going on leads from A to B for
+    nothing, and from B out of it all for 1."""
+
+    scene = type("Scene", (), {"camera": Camera(np.zeros(3), np.eye(3), np.pi / 2, 1, 1, 0.0, FAR)})
+    action_size = 2
+
+    def place(self, config, heading):
+        room = (heading > 0).astype(jnp.int32)
+        zero = jnp.zeros(())
+        info = {"config": config, "step_count": jnp.zeros((), jnp.int32)}
+        return State(room, {}, zero, zero, {"goal": zero}, info)
+
+    def observe(self, state):
+        room = state.pipeline_state.astype(jnp.float32)
+        return state.replace(obs={"depth": jnp.full((1, 1), 5.0), "goal": jnp.stack([10 * room, 0 * room])})
+
+    def advance(self, state, action):
+        room, on = state.pipeline_state, action == 1
+        reward = jnp.where(on, jnp.where(room == 1, 1.0, 0.0), jnp.where(room == 1, -0.1, 0.1))
+        done = (on & (room == 1)).astype(jnp.float32)
+        info = state.info | {"step_count": state.info["step_count"] + 1}
+        return state.replace(
+            pipeline_state=jnp.where(on, 1, room), reward=reward, done=done, metrics={"goal": done}, info=info
+        )
+
+
+TABLE = pecjax.Configurations(np.zeros((3, 2), np.float32), np.ones((3, 2), np.float32))
+TOY = ApexSettings(
+    num_envs=16,
+    num_steps=32,
+    num_actors=4,
+    epsilon=0.8,
+    epsilon_exponent=0.5,
+    fragment=4,
+    n_step=1,
+    discount=0.9,
+    batch_size=64,
+    replay_ratio=2.0,
+    learning_starts=256,
+    target_period=1000,
+    learning_rate=2e-3,
+    reward_scale=1.0,
+    network=QNetworkSettings(trunk=(16,), head=16),
+    replay=ReplaySettings(capacity=2048),
+)
+
+
+def exact_values(discount):
+    """Q (room, action) by value iteration."""
+    q = np.zeros((2, 2))
+    for _ in range(500):
+        best = q.max(axis=1)
+        q = np.array([[0.1 + discount * best[0], discount * best[1]], [-0.1 + discount * best[1], 1.0]])
+    return q
+
+
+def toy(settings=TOY, devices=None):
+    sampler = pecjax.curriculum.pec(TABLE.size)
+    if devices is None:
+        return apex.make(TwoStates(), TABLE, sampler, settings)
+    return shard(apex.make(TwoStates(), TABLE, sampler, settings, AXIS), fleet_mesh(devices))
+
+
+def values_of(learner, settings=TOY):
+    env = TwoStates()
+    rooms = [
+        env.observe(env.place(None, jnp.float32(side))).obs
+        for side in (-1, 1)
+    ]  # fmt: skip
+    obs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rooms)
+    seen = encode(replay.expand(replay.compress(obs, FAR), (1, 1), FAR), FAR)
+    return action_values(QNetwork(settings.network, 2), learner.params, seen)
+
+
+@pytest.mark.parametrize("n_step", [1, 3])
+def test_it_learns_the_exact_values_of_two_states(n_step):
+    # With n = 3 the returns are those of what the actors did: exact only where they rarely explore.
+    epsilon = {1: 0.8, 3: 0.01}[n_step]
+    settings = replace(TOY, n_step=n_step, epsilon=epsilon)
+    agent = toy(settings)
+    iterate, state = jax.jit(agent.iterate), jax.jit(agent.init)(jax.random.key(0))
+    for _ in range(150):
+        state, metrics = iterate(state)
+    exact = exact_values(settings.discount)
+    assert exact[0, 1] == 0.9 and np.isclose(exact[0, 0], 0.1 + 0.9 * exact[0].max())
+    found = np.asarray(values_of(state.learner, settings))
+    if n_step == 1:
+        np.testing.assert_allclose(found, exact, atol=0.02)
+    else:
+        np.testing.assert_allclose(found.max(axis=1), exact.max(axis=1), atol=0.05)
+    assert metrics.losses["td_error"] < 0.05
+
+
+def test_two_seeds_side_by_side_are_two_runs():
+    agent = toy()
+    keys = jax.random.split(jax.random.key(3), 2)
+    together = jax.jit(jax.vmap(agent.init))(keys)
+    init, iterate = jax.jit(agent.init), jax.jit(agent.iterate)
+    alone = [init(key) for key in keys]
+    both = jax.jit(jax.vmap(agent.iterate))
+    for _ in range(3):
+        together, _ = both(together)
+        alone = [iterate(state)[0] for state in alone]
+    assert int(alone[0].learner.updates) > 0
+    for i, state in enumerate(alone):
+        of_both = jax.tree.map(lambda leaf, i=i: leaf[i], together)
+        assert_same(of_both._replace(key=None), state._replace(key=None), atol=1e-5)
+
+
+def assert_same(one, other, atol):
+    def close(a, b):
+        if jnp.issubdtype(a.dtype, jnp.floating):
+            np.testing.assert_allclose(a, b, rtol=1e-4, atol=atol)
+        else:
+            np.testing.assert_array_equal(a, b)
+
+    jax.tree.map(close, one, other)
+
+
+@pytest.mark.parametrize("devices", [1, 2, 4])
+def test_many_devices_draw_and_learn_as_one(devices):
+    one, many = toy(), toy(devices=devices)
+    of_one, of_many = jax.jit(one.init)(jax.random.key(0)), many.init(jax.random.key(0))
+    alone, together = jax.jit(one.iterate), jax.jit(many.iterate)
+    # Once the errors vanish they are all rounding, and so is what is drawn by them.
+    for _ in range(5):
+        (of_one, metrics), (of_many, of_all) = alone(of_one), together(of_many)
+        assert_same(of_one._replace(key=None), of_many._replace(key=None), atol=1e-4)
+        assert_same(metrics, of_all, atol=1e-4)
+    assert int(of_one.learner.updates) >= 64
+    assert len(of_many.fleet.shards.tree.sharding.device_set) == devices
+
+
+def test_double_values_are_those_of_rlax():
+    draw = np.random.default_rng(0)
+    online, target = (jnp.asarray(draw.normal(size=(50, 15)), jnp.float32) for _ in range(2))
+    reward, discount = jnp.asarray(draw.normal(size=50)), jnp.asarray(0.9 * (draw.random(50) < 0.7))
+    nothing, action = jnp.zeros((50, 15)), jnp.zeros(50, jnp.int32)
+    theirs = jax.vmap(rlax.double_q_learning)(nothing, action, reward, discount, target, online)
+    ours = reward + discount * apex_update.double_value(online, target)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-6)
+
+
+def test_epsilon_of_five_actors_is_that_of_the_paper():
+    by_hand = [0.4, 0.08047, 0.016190, 0.0032572, 0.00065536]  # 0.4 ** (1, 2.75, 4.5, 6.25, 8)
+    epsilon = apex.exploration(ApexSettings(num_actors=5), jnp.arange(11))
+    np.testing.assert_allclose(epsilon, [*by_hand, *by_hand, by_hand[0]], rtol=1e-3)
+    np.testing.assert_allclose(apex.exploration(ApexSettings(num_actors=1), jnp.arange(2)), 0.4)
+
+
+def test_exploring_takes_any_action_alike_and_else_the_best():
+    values = jnp.tile(jnp.arange(5.0)[jnp.array([3, 0, 4, 1, 2])], (10**5, 1))
+    chance = jax.random.uniform(jax.random.key(0), (10**5,))
+    action = np.asarray(apex.explore(values, jnp.float32(0.4), chance))
+    assert (action[np.asarray(chance) >= 0.4] == 2).all()
+    assert stats.chisquare(np.bincount(action[np.asarray(chance) < 0.4], minlength=5)).pvalue > 1e-3
+    edge = np.nextafter(np.float32(0.4), np.float32(0))
+    assert apex.explore(values[0], jnp.float32(0.4), edge) == 4
+
+
+def test_the_target_is_copied_after_more_than_its_period():
+    # RLlib's 20,000 with batches of 5,000: with the fifth update, the tenth, and so on.
+    settings = replace(TOY, replay_ratio=1.0, batch_size=64, target_period=256, learning_starts=0)
+    agent = toy(settings)
+    state = jax.jit(agent.init)(jax.random.key(1))
+    env = TwoStates()
+    network, optimizer = QNetwork(settings.network, 2), apex_update.make_optimizer(settings)
+
+    def features(frame):
+        return encode(replay.expand(frame, (1, 1), FAR), FAR)
+
+    learn = jax.jit(
+        lambda learner, shards, key: apex_update.update(
+            network, optimizer, settings, features, learner, shards, key, None
+        )
+    )
+    state, _ = jax.jit(agent.iterate)(state)
+    assert env.action_size == 2
+    learner = state.learner._replace(copied=jnp.zeros((), jnp.int32))
+    before, table = learner.target, []
+    for i in range(11):
+        learner, _, _ = learn(learner, state.fleet.shards, jax.random.key(i))
+        copied = jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), learner.target, learner.params))
+        kept = jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), learner.target, before))
+        assert copied != kept
+        table.append((int(learner.copied), copied))
+        before = learner.target
+    by_hand = [(64, False), (128, False), (192, False), (256, False), (0, True)] * 2 + [(64, False)]
+    assert table == by_hand
+
+
+def test_nothing_is_learnt_before_the_start():
+    agent = toy(replace(TOY, learning_starts=1000))  # an iteration has 512 steps in rounds of 64
+    state = jax.jit(agent.init)(jax.random.key(0))
+    first = state.learner.params
+    iterate = jax.jit(agent.iterate)
+    state, _ = iterate(state)
+    assert int(state.learner.updates) == 0
+    jax.tree.map(np.testing.assert_array_equal, first, state.learner.params)
+    state, _ = iterate(state)
+    assert int(state.learner.sampled) == 1024
+    assert int(state.learner.updates) == TOY.updates  # the last round alone began with 1,000 or more
+
+
+def test_each_array_of_the_gradient_is_bounded_by_itself():
+    settings = replace(TOY, max_grad_norm=1.0, learning_rate=1.0)
+    clip = apex_update.make_optimizer(settings)
+    gradients = {"a": jnp.array([3.0, 4.0]), "b": jnp.array([0.3, 0.4]), "c": jnp.zeros(2)}
+    _, state = clip.update(gradients, clip.init(gradients), gradients)
+    first_moment = state[1][0].mu  # Adam's: a tenth of the bounded gradient
+    for name, bounded in {"a": [0.6, 0.8], "b": [0.3, 0.4], "c": [0, 0]}.items():
+        np.testing.assert_allclose(first_moment[name], 0.1 * np.array(bounded), rtol=1e-5)
+
+
+def test_the_goal_ratio_is_of_the_actors_that_explore_least():
+    settings = replace(TOY, num_actors=8, epsilon=1.0, epsilon_exponent=0.0)
+    _, metrics = jax.jit(toy(settings).iterate)(jax.jit(toy(settings).init)(jax.random.key(0)))
+    trials = int(metrics.counts[0].sum())
+    # Of 8 the last 3, as many of RLlib's 5 as it takes for a third; here all explore alike.
+    assert abs(int(metrics.watched[0]) / trials - 3 / 8) < 0.1
+
+
+def test_the_duel_is_centred():
+    network = QNetwork(QNetworkSettings(trunk=(8,), head=4), 3)
+    x = jax.random.normal(jax.random.key(0), (5, 7))
+    params = network.init(jax.random.key(1), x)
+    weights = params["params"]
+    hidden = np.tanh(x @ weights["trunk_0"]["kernel"] + weights["trunk_0"]["bias"])
+    both = np.maximum(hidden @ weights["heads"]["kernel"] + weights["heads"]["bias"], 0)
+    advantage = both[:, :4] @ weights["advantage"]["kernel"]
+    value = both[:, 4:] @ weights["value"]["kernel"]
+    expected = value + advantage - advantage.mean(axis=1, keepdims=True)
+    np.testing.assert_allclose(action_values(network, params, x), expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"num_envs": 0}, "1 or more"),
+        ({"num_envs": 18}, "shards do not divide"),
+        ({"batch_size": 66}, "shards do not divide"),
+        ({"fragment": 5}, "do not divide"),
+        ({"replay": ReplaySettings(capacity=2040)}, "do not divide"),
+        ({"replay": ReplaySettings(capacity=64)}, "needs more than 5"),
+        ({"replay_ratio": 0.1}, "whole number of batches"),
+        ({"replay_ratio": 1.5}, "whole number of batches"),
+    ],
+)
+def test_settings_that_do_not_fit_one_another_are_refused(change, words):
+    with pytest.raises(InputError, match=words):
+        apex.make(TwoStates(), TABLE, pecjax.curriculum.pec(3), replace(TOY, **change))
+
+
+def test_the_replay_says_what_it_takes():
+    agent = toy()
+    shards = jax.jit(agent.init)(jax.random.key(0)).fleet.shards
+    assert agent.replay_bytes == sum(leaf.nbytes for leaf in jax.tree.leaves(shards))
+    # An image of one byte, a goal of 8, action, return and discount of 4, two nodes of a tree of 4.
+    assert agent.replay_bytes == 2048 * (1 + 8 + 3 * 4 + 2 * 4) + 4 * TOY.replay.num_shards
+
+
+def test_the_preset_apex_rllib085_holds_every_value_of_rllib_and_of_the_paper():
+    preset = PRESETS["apex-rllib085"]
+    found = preset.apex
+    assert found.num_actors == 5 and (found.epsilon, found.epsilon_exponent) == (0.4, 7)
+    assert found.n_step == 3 and found.discount == 0.99
+    assert found.replay == ReplaySettings(2_000_000, 4, 0.6, 0.4, 1e-6, False, "shard")
+    assert found.learning_starts == 50_000 and found.target_period == 20_000
+    assert found.batch_size == 5000 and found.fragment == 50
+    assert found.learning_rate == 5e-4 and found.adam_eps == 1e-8 and found.max_grad_norm == 40
+    assert found.huber == 1.0 and found.reward_scale == 1.0
+    assert found.network == QNetworkSettings(trunk=(256, 256), head=256)
+    assert found.num_envs * found.num_steps == 25_000  # timesteps_per_iteration
+    assert preset.iterations == 2000
+    found.check()

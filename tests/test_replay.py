@@ -1,0 +1,212 @@
+"""The replay against NumPy, float64 sums, chi-square, and a plain history of all that was flown."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from pecjax.agents import apex, replay, sum_tree
+from pecjax.agents.apex_update import ApexSettings
+from pecjax.agents.replay import Frame, ReplaySettings
+from pecjax.agents.rollout import Trajectory
+
+
+def tree_of(priorities):
+    priorities = jnp.asarray(priorities, jnp.float32)
+    return sum_tree.set_leaves(sum_tree.empty(len(priorities)), jnp.arange(len(priorities)), priorities)
+
+
+def some_priorities(number, seed=0):
+    draw = np.random.default_rng(seed)
+    return np.where(draw.random(number) < 0.3, 0, draw.random(number) ** 3).astype(np.float32)
+
+
+@pytest.mark.parametrize("number", [64, 50, 1])
+@pytest.mark.parametrize("stratified", [False, True])
+def test_draws_are_proportional_and_never_of_priority_zero(number, stratified):
+    priorities = some_priorities(number) if number > 1 else np.float32([0.3])
+    drawn = jax.jit(sum_tree.draw, static_argnums=(2, 3))(
+        tree_of(priorities), jax.random.key(0), 10**6, stratified
+    )
+    found = np.bincount(drawn, minlength=number)
+    assert found.size == number and found[priorities == 0].sum() == 0
+    likely = np.float64(priorities) / np.float64(priorities).sum()
+    if stratified:  # one draw a millionth: every leaf comes as often as it should, to one draw at either end
+        np.testing.assert_allclose(found, 1e6 * likely, atol=2)
+    elif number > 1:
+        assert stats.chisquare(found[likely > 0], 1e6 * likely[likely > 0]).pvalue > 1e-3
+
+
+def test_the_root_is_the_float64_sum_after_100000_updates_with_duplicates():
+    size, batch = 1000, 100
+
+    def step(tree, key):
+        key_leaf, key_priority = jax.random.split(key)
+        leaves = jax.random.randint(key_leaf, (batch,), 0, size // 4)  # a third of them named twice
+        values = jax.random.uniform(key_priority, (batch,)) ** 8 * 1e4
+        return sum_tree.set_leaves(tree, leaves, values), (leaves, values)
+
+    keys = jax.random.split(jax.random.key(1), 1000)
+    tree, (leaves, values) = jax.jit(lambda tree: jax.lax.scan(step, tree, keys))(
+        tree_of(some_priorities(size))
+    )
+    held = np.asarray(sum_tree.get_leaves(tree, jnp.arange(size)))
+    np.testing.assert_allclose(sum_tree.total(tree), held.astype(np.float64).sum(), rtol=1e-6)
+    for leaf in np.unique(leaves[-1]):
+        assert held[leaf] in np.asarray(values[-1])[np.asarray(leaves[-1]) == leaf]
+
+
+def test_mass_that_rounding_left_over_finds_the_last_leaf_with_any():
+    tree = tree_of([0, 0.1, 0.3, 0, 0.2, 0, 0])
+    mass = jnp.array([0.0, 0.0999, 0.1001, 0.3999, 0.4001, 0.6, 0.7, 9.0])
+    np.testing.assert_array_equal(sum_tree.find(tree, mass), [1, 1, 2, 2, 4, 4, 4, 4])
+
+
+def test_finding_inverts_the_running_sum():
+    priorities = some_priorities(777, seed=3)
+    running = np.cumsum(priorities, dtype=np.float64)
+    mass = np.random.default_rng(4).uniform(0, running[-1], 2000)
+    found = sum_tree.find(tree_of(priorities), jnp.float32(mass))
+    expected = np.searchsorted(running, mass, side="right")
+    # In float32 a mass may fall on the other side of a boundary that it is next to.
+    near = np.abs(running[:, None] - mass).min(axis=0) < 1e-4
+    np.testing.assert_array_equal(np.asarray(found)[~near], expected[~near])
+    assert near.mean() < 0.05
+
+
+FAR, SHAPE = 10.0, (3, 4)
+
+
+def test_depth_is_kept_to_half_a_step_of_its_range():
+    draw = np.random.default_rng(0)
+    obs = {
+        "depth": jnp.asarray(draw.uniform(0.1, FAR, (5, *SHAPE)), jnp.float32),
+        "goal": jnp.asarray(draw.normal(size=(5, 2)), jnp.float32),
+    }
+    frame = replay.compress(obs, FAR)
+    assert frame.depth.dtype == jnp.uint8
+    back = replay.expand(frame, SHAPE, FAR)
+    np.testing.assert_allclose(back["depth"], obs["depth"], atol=FAR / 255 / 2 + 1e-5)
+    np.testing.assert_array_equal(back["goal"], obs["goal"])
+
+
+class Flown:
+    """A replay fed by made-up flights, beside a plain history of them."""
+
+    def __init__(self, settings: ApexSettings, seed: int):
+        self.settings, self.draw = settings, np.random.default_rng(seed)
+        self.action, self.reward, self.done = [], [], []
+        envs, n = settings.num_envs, settings.n_step
+        zero = jnp.zeros((envs, n))
+        self.recent = apex.Recent(zero.astype(jnp.int32), zero, zero, zero, zero.astype(bool))
+        one = replay.empty(settings.num_rows, settings.shard_envs, 1)
+        shards = settings.replay.num_shards
+        self.shards = jax.tree.map(lambda leaf: jnp.zeros((shards, *leaf.shape), leaf.dtype), one)
+        self._add = jax.jit(self._write)
+
+    def _write(self, recent, shards, trajectory):
+        recent, rows = apex.complete(self.settings, recent, trajectory)
+        add = partial(replay.add, self.settings.replay, n_step=self.settings.n_step)
+        return recent, jax.vmap(add)(shards, apex._by_shard(rows, self.settings.shard_envs))
+
+    def fly(self):
+        """One fragment; an observation says which environment saw it and when."""
+        steps, envs = self.settings.fragment, self.settings.num_envs
+        now = len(self.action)
+        new = [
+            self.draw.integers(0, 15, (steps, envs)),
+            self.draw.normal(size=(steps, envs)).astype(np.float32),
+            (self.draw.random((steps, envs)) < 0.2).astype(np.float32),
+        ]
+        for kept, rows in zip((self.action, self.reward, self.done), new, strict=True):
+            kept.extend(rows)
+        time, env = np.meshgrid(np.arange(now, now + steps), np.arange(envs), indexing="ij")
+        frame = Frame(
+            jnp.zeros((steps, envs, 1), jnp.uint8), jnp.asarray(np.stack([env, time], -1), jnp.float32)
+        )
+        action, reward, done = map(jnp.asarray, new)
+        value = jnp.zeros((steps, envs))
+        trajectory = Trajectory(None, action.astype(jnp.int32), reward, done, (frame, value, value))
+        self.recent, self.shards = self._add(self.recent, self.shards, trajectory)
+
+    def transition(self, env, time):
+        """(action, return, discount) as the history has it."""
+        total, going_on = 0.0, 1.0
+        for k in range(self.settings.n_step):
+            total += going_on * self.settings.reward_scale * self.reward[time + k][env]
+            going_on *= self.settings.discount * (1 - self.done[time + k][env])
+        return self.action[time][env], total, going_on
+
+
+@pytest.mark.parametrize(
+    ("num_envs", "fragment", "n_step", "rows", "shards"),
+    [(8, 2, 3, 12, 2), (6, 4, 2, 8, 3), (4, 1, 3, 7, 1), (4, 5, 1, 10, 4)],
+)
+def test_what_is_drawn_is_what_was_flown_and_never_two_episodes_mixed(
+    num_envs, fragment, n_step, rows, shards
+):
+    settings = ApexSettings(
+        num_envs=num_envs,
+        num_steps=fragment,
+        fragment=fragment,
+        n_step=n_step,
+        batch_size=shards,
+        replay_ratio=shards / (fragment * num_envs),
+        replay=ReplaySettings(capacity=rows * num_envs, num_shards=shards),
+    )
+    settings.check()
+    flown = Flown(settings, seed=rows)
+    draw = jax.jit(
+        jax.vmap(
+            lambda shard, key: replay.sample(settings.replay, shard, key, 50, settings.shard_envs, n_step)
+        )
+    )
+    seen = set()
+    for turn in range(3 * rows // fragment + 2):  # the ring is written over three times
+        flown.fly()
+        written = len(flown.action)
+        leaves = flown.shards.tree[:, flown.shards.tree.shape[1] // 2 :]
+        # A row whose window reaches back before the first, or into what was overwritten, is none.
+        expected = max(0, min(written, rows) - n_step) * num_envs
+        assert int((leaves > 0).sum()) == expected
+        if expected == 0:
+            continue
+        batch = draw(flown.shards, jax.random.split(jax.random.key(turn), shards))
+        for shard in range(shards):
+            for i in range(50):
+                env, time = map(int, batch.frame.goal[shard, i])
+                assert env // settings.shard_envs == shard
+                assert written - rows <= time < written - n_step + 1
+                np.testing.assert_array_equal(batch.next_frame.goal[shard, i], [env, time + n_step])
+                action, total, discount = flown.transition(env, time)
+                assert batch.action[shard, i] == action
+                np.testing.assert_allclose(batch.reward[shard, i], total, rtol=1e-5, atol=1e-7)
+                np.testing.assert_allclose(batch.discount[shard, i], discount, rtol=1e-5)
+                seen.add(discount > 0)
+    assert seen == {True, False}
+
+
+@pytest.mark.parametrize("normalize", ["batch", "shard"])
+def test_weights_are_those_of_schaul_et_al(normalize):
+    settings = ReplaySettings(alpha=0.6, beta=0.4, epsilon=1e-6, normalize=normalize)
+    errors = np.random.default_rng(5).exponential(size=40).astype(np.float32)
+    shard = replay.empty(10, 4, 1)
+    shard = replay.reprioritize(settings, shard, jnp.arange(40), jnp.asarray(errors))
+    batch = replay.sample(settings, shard, jax.random.key(0), 16, 4, 3)
+    chances = (np.float64(errors) + 1e-6) ** 0.6
+    chances /= chances.sum()
+    weights = (40 * chances) ** -0.4
+    greatest = weights.max() if normalize == "shard" else weights[np.asarray(batch.leaf)].max()
+    np.testing.assert_allclose(batch.weight, weights[np.asarray(batch.leaf)] / greatest, rtol=1e-4)
+
+
+def test_a_new_error_is_a_new_priority_and_no_error_is_none():
+    settings = ReplaySettings(alpha=0.5, epsilon=0.0)
+    shard = replay.empty(4, 2, 1)
+    shard = replay.reprioritize(settings, shard, jnp.array([1, 5, 6]), jnp.array([4.0, 9.0, -1.0]))
+    held = sum_tree.get_leaves(shard.tree, jnp.arange(8))
+    np.testing.assert_allclose(held, [0, 2, 0, 0, 0, 3, 0, 0], rtol=1e-6)
+    np.testing.assert_allclose(sum_tree.total(shard.tree), 5, rtol=1e-6)
