@@ -24,6 +24,7 @@ import workloads as w
 from workloads import Workload
 
 import pecjax
+from pecjax.agents.apex_update import ApexSettings
 from pecjax.agents.ppo_update import PPOSettings
 from pecjax.curriculum import pec, uniform
 from pecjax.experiments.devices import use_all_cores
@@ -119,6 +120,26 @@ def large_curricula() -> Group:
     return group
 
 
+def apex_training() -> Group:
+    """Ape-X end to end, against C MuJoCo's physics and PPO."""
+    env, mesh = pecjax.RoomsNavigation(pecjax.load_scene()), w.device_mesh()
+    sampler, settings = pec(pecjax.COORDINATE_SET_1.size), ApexSettings()
+    return {
+        "C MuJoCo rollout, physics alone": w.c_physics(env, settings.num_envs, settings.num_steps),
+        "PPO training end to end": w.training(env, sampler, mesh, PPOSettings()),
+        "Ape-X training end to end": w.training(env, sampler, mesh, settings),
+    }
+
+
+def replay_growth() -> Group:
+    """One shard's replay by its size; the smaller one's row comes first."""
+    small, large = w.replay_parts(2**17), w.replay_parts(2**20)
+    group: Group = {}
+    for name in small:
+        group |= {f"{name} of 2^17": small[name], f"{name} of 2^20": large[name]}
+    return group
+
+
 GROUPS: dict[str, Callable[[], Group]] = {
     "training": training_parts,
     "environments": environment_counts,
@@ -127,6 +148,8 @@ GROUPS: dict[str, Callable[[], Group]] = {
     "devices": devices,
     "samplers": samplers,
     "curricula": large_curricula,
+    "apex": apex_training,
+    "replay": replay_growth,
 }
 
 

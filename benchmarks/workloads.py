@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +17,7 @@ from jax.sharding import Mesh, PartitionSpec
 from mujoco import mjx, rollout as c_rollout
 
 import pecjax
-from pecjax.agents import AXIS, fleet_mesh, ppo, ppo_update, shard
+from pecjax.agents import AXIS, apex, apex_update, fleet_mesh, ppo, ppo_update, replay, shard
 from pecjax.agents.networks import ActorCritic, draw_action, encode, forward
 from pecjax.agents.rollout import Trajectory, env_keys, launch, rollout
 from pecjax.curriculum import Outcomes, Sampler
@@ -194,10 +195,18 @@ def environment(
 
 
 def training(
-    env: pecjax.RoomsNavigation, sampler: Sampler, mesh: Mesh, settings: ppo_update.PPOSettings
+    env: pecjax.RoomsNavigation,
+    sampler: Sampler,
+    mesh: Mesh,
+    settings: ppo_update.PPOSettings | apex_update.ApexSettings,
 ) -> Workload:
-    """PPO end to end."""
-    agent = shard(ppo.make(env, env.configurations, sampler, settings, AXIS), mesh)
+    """PPO or Ape-X end to end, Ape-X once its replay is warm."""
+    if isinstance(settings, apex_update.ApexSettings):
+        settings = dataclasses.replace(settings, learning_starts=0)
+        agent = apex.make(env, env.configurations, sampler, settings, AXIS)
+    else:
+        agent = ppo.make(env, env.configurations, sampler, settings, AXIS)
+    agent = shard(agent, mesh)
     carry = [agent.init(jax.random.key(0))]
     iterate = jax.jit(agent.iterate, donate_argnums=0)
 
@@ -265,6 +274,61 @@ def curriculum(sampler: Sampler, num_configs: int, draws: int) -> tuple[Workload
     copy = jax.jit(lambda counts: counts + 1)
     run = _waiting(program, sampler.init(), jax.random.key(0))
     return Workload(run, 1, "times/s"), Workload(_waiting(copy, counts), 1, "times/s")
+
+
+REPLAY_ENVS, REPLAY_STEPS, REPLAY_DRAWS, N_STEP = 128, 2, 512, 3
+
+
+def replay_parts(capacity: int) -> dict[str, Workload]:
+    """One shard of so many transitions with 16×12 images: adding, drawing and new priorities."""
+    settings = replay.ReplaySettings(capacity=capacity)
+    shape = (REPLAY_STEPS, REPLAY_ENVS)
+    number = jnp.zeros(shape)
+    frame = replay.Frame(jnp.zeros((*shape, 192), jnp.uint8), jnp.zeros((*shape, 2)))
+    rows = replay.Rows(frame, number.astype(jnp.int32), number, number, number + 1)
+
+    def draw(shard: replay.Replay, key: jax.Array) -> tuple[replay.Replay, jax.Array]:
+        batch = replay.sample(settings, shard, key, REPLAY_DRAWS, REPLAY_ENVS, N_STEP)
+        # A sum over every image, so that none is optimised away.
+        seen = batch.frame.depth.sum() + batch.next_frame.depth.sum() + batch.weight.sum()
+        return shard, jnp.where(seen < 0, 0, batch.leaf)
+
+    def new_priorities(shard: replay.Replay, key: jax.Array) -> tuple[replay.Replay, jax.Array]:
+        leaf = jax.random.randint(key, (REPLAY_DRAWS,), 0, capacity)
+        error = jax.random.uniform(key, (REPLAY_DRAWS,))
+        return replay.reprioritize(settings, shard, leaf, error), leaf
+
+    def draw_and_update(shard: replay.Replay, key: jax.Array) -> tuple[replay.Replay, jax.Array]:
+        shard, leaf = draw(shard, key)
+        error = jax.random.uniform(key, (REPLAY_DRAWS,))
+        return replay.reprioritize(settings, shard, leaf, error), leaf
+
+    def add(shard: replay.Replay, key: jax.Array) -> tuple[replay.Replay, jax.Array]:
+        return replay.add(settings, shard, rows, N_STEP), jnp.zeros(())
+
+    def workload(step: Callable) -> Workload:
+        """A hundred times in one program, since one takes less than starting a program does."""
+        program = jax.jit(
+            lambda shard, key: jax.lax.scan(step, shard, jax.random.split(key, 100)), donate_argnums=0
+        )
+        shard = replay.empty(capacity // REPLAY_ENVS, REPLAY_ENVS, 192)
+        error = jax.random.uniform(jax.random.key(0), (capacity,))
+        carry = [replay.reprioritize(settings, shard, jnp.arange(capacity), error), jax.random.key(0)]
+
+        def run() -> None:
+            carry[1], key = jax.random.split(carry[1])
+            carry[0], leaves = program(carry[0], key)
+            jax.block_until_ready(leaves)
+
+        return Workload(run, 100, "times/s")
+
+    parts = {
+        f"add {REPLAY_STEPS * REPLAY_ENVS}": add,
+        f"draw {REPLAY_DRAWS}": draw,
+        f"new priorities for {REPLAY_DRAWS}": new_priorities,
+        f"draw {REPLAY_DRAWS} and update": draw_and_update,
+    }
+    return {name: workload(step) for name, step in parts.items()}
 
 
 def device_mesh(num_devices: int | None = None) -> Mesh:
