@@ -45,13 +45,13 @@ class ApexSettings:
     epsilon: float = 0.4
     epsilon_exponent: float = 7.0
     fragment: int = 2
-    n_step: int = 3
+    n_step: int = 10
     discount: float = 0.99
     batch_size: int = 1024
     replay_ratio: float = 2.0
     learning_starts: int = 16_384
     target_period: int = 100_000
-    learning_rate: float = 3e-4
+    learning_rate: float = 2e-4
     adam_eps: float = 1e-8
     max_grad_norm: float = 40.0
     huber: float = 1.0
