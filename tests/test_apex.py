@@ -220,11 +220,11 @@ def test_nothing_is_learnt_before_the_start():
     state = jax.jit(agent.init)(jax.random.key(0))
     first = state.learner.params
     iterate = jax.jit(agent.iterate)
-    state, _ = iterate(state)
-    assert int(state.learner.updates) == 0
+    state, metrics = iterate(state)
+    assert int(state.learner.updates) == 0 and np.isnan(metrics.losses["loss"])
     jax.tree.map(np.testing.assert_array_equal, first, state.learner.params)
-    state, _ = iterate(state)
-    assert int(state.learner.sampled) == 1024
+    state, metrics = iterate(state)
+    assert int(state.learner.sampled) == 1024 and metrics.losses["loss"] > 0
     assert int(state.learner.updates) == TOY.updates  # the last round alone began with 1,000 or more
 
 

@@ -236,6 +236,12 @@ def near_goals(folders):
     return str(path)
 
 
+def test_every_learner_is_kept_and_of_the_rest_the_newest_two(run):
+    folder, _ = run
+    assert Checkpoints(folder).iterations() == [2, 4, 5]
+    assert sorted(path.name for path in (folder / "states").iterdir()) == ["4", "5"]
+
+
 def test_a_run_of_apex_leaves_the_same_files_and_its_policy_can_be_had(folders, near_goals, capsys):
     settings = presets.override(presets.find_preset(algorithm="apex"), num_envs=8, coordinates=near_goals)
     assert settings.apex.fragment * 8 == PRESETS["apex-fast"].apex.fragment * 512

@@ -151,11 +151,14 @@ def make(
 
             warm = learner.sampled >= settings.learning_starts
             learner, shards, terms = jax.lax.cond(warm, learn, wait, learner, actors.shards)
-            return (learner, actors._replace(shards=shards)), (episodes, terms)
+            return (learner, actors._replace(shards=shards)), (episodes, terms, warm)
 
         keys = jax.random.split(key_rounds, num_rounds)
-        (learner, actors), (episodes, terms) = jax.lax.scan(round_, (state.learner, state.fleet), keys)
-        losses = {name: term.mean() for name, term in terms.items()} | {"updates": learner.updates}
+        carry, (episodes, terms, warm) = jax.lax.scan(round_, (state.learner, state.fleet), keys)
+        learner, actors = carry
+        # Over the rounds that learnt; where none did there is no figure.
+        losses = {name: term.sum() / warm.sum() for name, term in terms.items()}
+        losses["updates"] = learner.updates
         # RLlib 0.8.5 reports the last third of its actors, rounded up (`agents/dqn/apex.py`).
         watched = env_ids % settings.num_actors >= settings.num_actors + (-settings.num_actors // 3)
         sampler_state = sampler.update(state.sampler, episodes.outcomes, axis_name)

@@ -22,12 +22,14 @@ def _orbax() -> ModuleType:
 class Checkpoints:
     """The checkpoints of one run folder; the only place that knows Orbax.
 
-    The learner is stored beside the rest, so that a policy can be had without its environments.
+    Every learner is kept, in `checkpoints`, so that policies can be had and compared; of the rest
+    (sampler, environments, replay), which may be large, only the newest two, in `states`.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Names `folder`/checkpoints, which is made with the first checkpoint."""
+        """Names the folders, which are made with the first checkpoint."""
         self._folder = (folder / "checkpoints").absolute()
+        self._states_folder = (folder / "states").absolute()
 
     @cached_property
     def _manager(self) -> Any:
@@ -35,14 +37,18 @@ class Checkpoints:
         options = ocp.CheckpointManagerOptions(enable_async_checkpointing=False)
         return ocp.CheckpointManager(self._folder, options=options)
 
+    @cached_property
+    def _states(self) -> Any:
+        ocp = _orbax()
+        options = ocp.CheckpointManagerOptions(enable_async_checkpointing=False, max_to_keep=2)
+        return ocp.CheckpointManager(self._states_folder, options=options)
+
     def save(self, iteration: int, state: TrainState) -> None:
         """Writes the state after `iteration` iterations."""
         rest = state._replace(learner=None, key=jax.random.key_data(state.key))
         ocp = _orbax()
-        items = ocp.args.Composite(
-            learner=ocp.args.StandardSave(state.learner), rest=ocp.args.StandardSave(rest._asdict())
-        )
-        self._manager.save(iteration, args=items)
+        self._states.save(iteration, args=ocp.args.Composite(rest=ocp.args.StandardSave(rest._asdict())))
+        self._manager.save(iteration, args=ocp.args.Composite(learner=ocp.args.StandardSave(state.learner)))
 
     def iterations(self) -> list[int]:
         """The iterations at which a checkpoint was saved, rising."""
