@@ -228,6 +228,14 @@ def test_nothing_is_learnt_before_the_start():
     assert int(state.learner.updates) == TOY.updates  # the last round alone began with 1,000 or more
 
 
+def test_it_waits_for_a_transition_to_draw_however_early_it_may_start():
+    settings = replace(TOY, n_step=10, learning_starts=0)  # in fragments of 4 steps of 16 environments
+    state, metrics = jax.jit(toy(settings).iterate)(jax.jit(toy(settings).init)(jax.random.key(0)))
+    assert int(state.learner.updates) == (32 // 4 - 2) * settings.updates
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state.learner.params))
+    assert np.isfinite(metrics.losses["loss"])
+
+
 def test_each_array_of_the_gradient_is_bounded_by_itself():
     settings = replace(TOY, max_grad_norm=1.0, learning_rate=1.0)
     clip = apex_update.make_optimizer(settings)

@@ -110,7 +110,7 @@ class Flown:
     def _write(self, recent, shards, trajectory):
         recent, rows = apex.complete(self.settings, recent, trajectory)
         add = partial(replay.add, self.settings.replay, n_step=self.settings.n_step)
-        return recent, jax.vmap(add)(shards, apex._by_shard(rows, self.settings.shard_envs))
+        return recent, jax.vmap(add)(shards, apex.by_shard(rows, self.settings.shard_envs))
 
     def fly(self):
         """One fragment; an observation says which environment saw it and when."""

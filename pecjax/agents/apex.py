@@ -133,7 +133,7 @@ def make(
             )
             recent, rows = complete(settings, actors.recent, trajectory)
             shards = jax.vmap(lambda shard, rows: replay.add(settings.replay, shard, rows, n_step))(
-                actors.shards, _by_shard(rows, settings.shard_envs)
+                actors.shards, by_shard(rows, settings.shard_envs)
             )
             return Actors(fleet, recent, shards), episodes
 
@@ -149,7 +149,8 @@ def make(
             def wait(learner: Learner, shards: Replay) -> tuple[Learner, Replay, dict[str, jax.Array]]:
                 return learner, shards, dict.fromkeys(("loss", "td_error", "value"), jnp.zeros(()))
 
-            warm = learner.sampled >= settings.learning_starts
+            # A replay of n rows or fewer holds no transition yet.
+            warm = learner.sampled >= max(settings.learning_starts, (n_step + 1) * num_envs)
             learner, shards, terms = jax.lax.cond(warm, learn, wait, learner, actors.shards)
             return (learner, actors._replace(shards=shards)), (episodes, terms, warm)
 
@@ -204,7 +205,7 @@ def complete(settings: ApexSettings, recent: Recent, trajectory: Trajectory) -> 
     return jax.tree.map(lambda leaf: leaf[number:].T, steps), rows
 
 
-def _by_shard(rows: Rows, shard_envs: int) -> Rows:
+def by_shard(rows: Rows, shard_envs: int) -> Rows:
     """Cuts (K, B, …) into shards (S, K, E, …)."""
 
     def cut(leaf: jax.Array) -> jax.Array:
