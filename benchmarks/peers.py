@@ -22,6 +22,7 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import learning
 import numpy as np
 import workloads
 from brax.envs.base import Env, State
@@ -192,7 +193,7 @@ def our_training(env: pecjax.RoomsNavigation) -> Turn:
     """Ours, the preset `fast` with PEC, over all devices."""
     settings = PPOSettings(num_envs=NUM_ENVS, num_steps=NUM_STEPS)
     sampler = pec(env.configurations.size)
-    work = workloads.training(env, sampler, workloads.device_mesh(), settings)
+    work = learning.training(env, sampler, workloads.device_mesh(), settings)
 
     def turn() -> int:
         for _ in range(BATCHES_A_TURN):

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import jax
+import learning
 import workloads as w
 from workloads import Workload
 
@@ -57,14 +58,14 @@ def training_parts() -> Group:
     env, settings = pecjax.RoomsNavigation(pecjax.load_scene()), PPOSettings()
     mesh, sampler = w.device_mesh(), pec(pecjax.COORDINATE_SET_1.size)
     batch = (settings.num_envs, settings.num_steps)
-    policy, update = w.learner(env, mesh, settings)
+    policy, update = learning.learner(env, mesh, settings)
     return {
         "C MuJoCo rollout, physics alone": w.c_physics(env, *batch),
         "controller, MJX, wall distance": w.flight(env, mesh, *batch),
         "environment alone": w.environment(env, sampler, mesh, *batch),
         "policy step": policy,
         "PPO update": update,
-        "PPO training end to end": w.training(env, sampler, mesh, settings),
+        "PPO training end to end": learning.training(env, sampler, mesh, settings),
     }
 
 
@@ -73,7 +74,7 @@ def environment_counts() -> Group:
     env, mesh = pecjax.RoomsNavigation(pecjax.load_scene()), w.device_mesh()
     sampler = pec(pecjax.COORDINATE_SET_1.size)
     return {
-        f"training, {num_envs} environments": w.training(
+        f"training, {num_envs} environments": learning.training(
             env, sampler, mesh, PPOSettings(num_envs=num_envs, num_steps=16384 // num_envs)
         )
         for num_envs in (512, 256, 1024, 2048)
@@ -95,7 +96,7 @@ def devices() -> Group:
     """Training end to end on one device and on all."""
     env, sampler = pecjax.RoomsNavigation(pecjax.load_scene()), pec(pecjax.COORDINATE_SET_1.size)
     return {
-        f"training, {number} device(s)": w.training(env, sampler, w.device_mesh(number), PPOSettings())
+        f"training, {number} device(s)": learning.training(env, sampler, w.device_mesh(number), PPOSettings())
         for number in (1, len(jax.devices()))
     }
 
@@ -105,7 +106,7 @@ def samplers() -> Group:
     env, mesh = pecjax.RoomsNavigation(pecjax.load_scene()), w.device_mesh()
     size = pecjax.COORDINATE_SET_1.size
     return {
-        f"training, {name}": w.training(env, sampler, mesh, PPOSettings())
+        f"training, {name}": learning.training(env, sampler, mesh, PPOSettings())
         for name, sampler in (("uniform", uniform(size)), ("PEC", pec(size)))
     }
 
@@ -114,7 +115,7 @@ def large_curricula() -> Group:
     """4,096 draws and their tally, and a copy of the counts, by the number of configurations."""
     group: Group = {}
     for num_configs in (20, 10_000, 1_000_000):
-        work, copy = w.curriculum(pec(num_configs), num_configs, 4096)
+        work, copy = learning.curriculum(pec(num_configs), num_configs, 4096)
         group[f"copy of the counts, N = {num_configs:,}"] = copy
         group[f"draw and tally 4,096, N = {num_configs:,}"] = work
     return group
@@ -126,14 +127,14 @@ def apex_training() -> Group:
     sampler, settings = pec(pecjax.COORDINATE_SET_1.size), ApexSettings()
     return {
         "C MuJoCo rollout, physics alone": w.c_physics(env, settings.num_envs, settings.num_steps),
-        "PPO training end to end": w.training(env, sampler, mesh, PPOSettings()),
-        "Ape-X training end to end": w.training(env, sampler, mesh, settings),
+        "PPO training end to end": learning.training(env, sampler, mesh, PPOSettings()),
+        "Ape-X training end to end": learning.training(env, sampler, mesh, settings),
     }
 
 
 def replay_growth() -> Group:
     """One shard's replay by its size; the smaller one's row comes first."""
-    small, large = w.replay_parts(2**17), w.replay_parts(2**20)
+    small, large = learning.replay_parts(2**17), learning.replay_parts(2**20)
     group: Group = {}
     for name in small:
         group |= {f"{name} of 2^17": small[name], f"{name} of 2^20": large[name]}

@@ -1,0 +1,154 @@
+"""Learning: workloads of samplers, replay and learners."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import Mesh, PartitionSpec
+from workloads import SAME, Workload, sharded, waiting
+
+import pecjax
+from pecjax.agents import AXIS, apex, apex_update, ppo, ppo_update, replay, shard
+from pecjax.agents.networks import ActorCritic, draw_action, encode, forward
+from pecjax.agents.rollout import Trajectory
+from pecjax.curriculum import Outcomes, Sampler
+
+
+def training(
+    env: pecjax.RoomsNavigation,
+    sampler: Sampler,
+    mesh: Mesh,
+    settings: ppo_update.PPOSettings | apex_update.ApexSettings,
+) -> Workload:
+    """PPO or Ape-X end to end, Ape-X once its replay is warm."""
+    if isinstance(settings, apex_update.ApexSettings):
+        settings = dataclasses.replace(settings, learning_starts=0)
+        agent = apex.make(env, env.configurations, sampler, settings, AXIS)
+    else:
+        agent = ppo.make(env, env.configurations, sampler, settings, AXIS)
+    agent = shard(agent, mesh)
+    carry = [agent.init(jax.random.key(0))]
+    iterate = jax.jit(agent.iterate, donate_argnums=0)
+
+    def run() -> None:
+        carry[0], metrics = iterate(carry[0])
+        jax.block_until_ready(metrics)
+
+    return Workload(run, agent.steps_per_iteration, "control steps/s")
+
+
+def learner(
+    env: pecjax.RoomsNavigation, mesh: Mesh, settings: ppo_update.PPOSettings
+) -> tuple[Workload, Workload]:
+    """The policy's step (forward and draw) and the update, on made-up batches."""
+    camera = env.scene.camera
+    network = ActorCritic(settings.network, env.action_size, (camera.height, camera.width))
+    key = jax.random.key(0)
+    shape = (settings.num_steps, settings.num_envs)
+    obs = {
+        "depth": jax.random.uniform(key, (*shape, camera.height, camera.width), maxval=camera.far),
+        "goal": jax.random.normal(key, (*shape, 2)),
+    }
+    features = encode(obs, camera.far)
+    params = network.init(key, features[0, :1])
+    optimizer = ppo_update.make_optimizer(settings)
+    state = ppo_update.Learner(params, optimizer.init(params), jnp.float32(0))
+    logits, value = jax.jit(lambda f: forward(network, params, f))(features)
+    action = jax.random.randint(key, shape, 0, env.action_size)
+    reward = jax.random.normal(key, shape)
+    trajectory = Trajectory(None, action, reward, reward > 2, (features, logits, value))
+
+    def act(params, obs, key):
+        chances = jax.random.uniform(key, obs["goal"].shape[:2])
+
+        def step(_, row):
+            obs, chance = row
+            logits, _ = forward(network, params, encode(obs, camera.far))
+            return None, draw_action(logits, chance)
+
+        return jax.lax.scan(step, None, (obs, chances))[1]
+
+    def update(state, trajectory, key):
+        batch = ppo_update.prepare(settings, trajectory, trajectory.reward[0], AXIS)
+        return ppo_update.update(network, optimizer, settings, state, batch, key, AXIS)
+
+    over_envs = PartitionSpec(None, AXIS)
+    policy = sharded(act, mesh, (SAME, over_envs, SAME), over_envs)
+    learn = sharded(update, mesh, (SAME, over_envs, SAME), SAME)
+    amount = settings.num_steps * settings.num_envs
+    return (
+        Workload(waiting(policy, params, obs, key), amount, "control steps/s"),
+        Workload(waiting(learn, state, trajectory, key), amount, "control steps/s"),
+    )
+
+
+def curriculum(sampler: Sampler, num_configs: int, draws: int) -> tuple[Workload, Workload]:
+    """A draw and a tally of so many episodes, and a plain copy of the counts to hold it against."""
+
+    def draw_and_tally(state, key):
+        ids = sampler.sample(state, key, (draws,))
+        return sampler.update(state, Outcomes(ids, jnp.ones(draws, bool), ids % 3 == 0))
+
+    program = jax.jit(draw_and_tally)
+    counts = jnp.zeros((2, num_configs), jnp.int32)
+    copy = jax.jit(lambda counts: counts + 1)
+    run = waiting(program, sampler.init(), jax.random.key(0))
+    return Workload(run, 1, "times/s"), Workload(waiting(copy, counts), 1, "times/s")
+
+
+REPLAY_ENVS, REPLAY_STEPS, REPLAY_DRAWS, N_STEP = 128, 2, 512, 3
+
+
+def replay_parts(capacity: int) -> dict[str, Workload]:
+    """One shard of so many transitions with 16×12 images: adding, drawing and new priorities."""
+    settings = replay.ReplaySettings(capacity=capacity)
+    shape = (REPLAY_STEPS, REPLAY_ENVS)
+    number = jnp.zeros(shape)
+    frame = replay.Frame(jnp.zeros((*shape, 192), jnp.uint8), jnp.zeros((*shape, 2)))
+    rows = replay.Rows(frame, number.astype(jnp.int32), number, number, number + 1)
+
+    def draw(shard: replay.Replay, key: jax.Array) -> tuple[replay.Replay, jax.Array]:
+        batch = replay.sample(settings, shard, key, REPLAY_DRAWS, REPLAY_ENVS, N_STEP)
+        # A sum over every image, so that none is optimised away.
+        seen = batch.frame.depth.sum() + batch.next_frame.depth.sum() + batch.weight.sum()
+        return shard, jnp.where(seen < 0, 0, batch.leaf)
+
+    def new_priorities(shard: replay.Replay, key: jax.Array) -> tuple[replay.Replay, jax.Array]:
+        leaf = jax.random.randint(key, (REPLAY_DRAWS,), 0, capacity)
+        error = jax.random.uniform(key, (REPLAY_DRAWS,))
+        return replay.reprioritize(settings, shard, leaf, error), leaf
+
+    def draw_and_update(shard: replay.Replay, key: jax.Array) -> tuple[replay.Replay, jax.Array]:
+        shard, leaf = draw(shard, key)
+        error = jax.random.uniform(key, (REPLAY_DRAWS,))
+        return replay.reprioritize(settings, shard, leaf, error), leaf
+
+    def add(shard: replay.Replay, key: jax.Array) -> tuple[replay.Replay, jax.Array]:
+        return replay.add(settings, shard, rows, N_STEP), jnp.zeros(())
+
+    def workload(step: Callable) -> Workload:
+        """A hundred times in one program, since one takes less than starting a program does."""
+        program = jax.jit(
+            lambda shard, key: jax.lax.scan(step, shard, jax.random.split(key, 100)), donate_argnums=0
+        )
+        shard = replay.empty(capacity // REPLAY_ENVS, REPLAY_ENVS, 192)
+        error = jax.random.uniform(jax.random.key(0), (capacity,))
+        carry = [replay.reprioritize(settings, shard, jnp.arange(capacity), error), jax.random.key(0)]
+
+        def run() -> None:
+            carry[1], key = jax.random.split(carry[1])
+            carry[0], leaves = program(carry[0], key)
+            jax.block_until_ready(leaves)
+
+        return Workload(run, 100, "times/s")
+
+    parts = {
+        f"add {REPLAY_STEPS * REPLAY_ENVS}": add,
+        f"draw {REPLAY_DRAWS}": draw,
+        f"new priorities for {REPLAY_DRAWS}": new_priorities,
+        f"draw {REPLAY_DRAWS} and update": draw_and_update,
+    }
+    return {name: workload(step) for name, step in parts.items()}
