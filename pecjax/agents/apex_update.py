@@ -34,6 +34,8 @@ class ApexSettings:
         target_period: the target network is copied once more than so many transitions have been
             trained on since.
         learning_rate, adam_eps, max_grad_norm: of Adam, with a bound on each array's gradient.
+        decay_updates: updates over which the rate falls evenly to a tenth, where it stays; None
+            for a constant rate.
         huber: |TD error| from which on the loss is linear.
         reward_scale: what rewards are multiplied with for the learner.
         network, replay: theirs.
@@ -52,6 +54,7 @@ class ApexSettings:
     learning_starts: int = 16_384
     target_period: int = 100_000
     learning_rate: float = 2e-4
+    decay_updates: int | None = 11_200
     adam_eps: float = 1e-8
     max_grad_norm: float = 40.0
     huber: float = 1.0
@@ -139,7 +142,10 @@ def make_optimizer(settings: ApexSettings) -> optax.GradientTransformation:
         return gradient * jnp.minimum(1.0, settings.max_grad_norm / jnp.maximum(norm, 1e-12))
 
     clip = optax.stateless(lambda gradients, _: jax.tree.map(bound, gradients))
-    return optax.chain(clip, optax.adam(settings.learning_rate, eps=settings.adam_eps))
+    rate: optax.ScalarOrSchedule = settings.learning_rate
+    if settings.decay_updates is not None:
+        rate = optax.linear_schedule(rate, 0.1 * rate, settings.decay_updates)
+    return optax.chain(clip, optax.adam(rate, eps=settings.adam_eps))
 
 
 def double_value(q_online: jax.Array, q_target: jax.Array) -> jax.Array:

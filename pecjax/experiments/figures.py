@@ -19,6 +19,7 @@ from pecjax.world.scene import Scene, load_scene
 
 # Colours that stay apart in grey (Okabe & Ito).
 TRIALS, FAILURES, GOAL, PATH = "#9fb8cc", "#a0330f", "#00573f", "#1f5f99"
+LEARNERS = {"ppo": "PPO", "apex": "Ape-X DQN"}
 SMOOTHED_ITERATIONS = 20
 _COLUMNS = {
     "metrics": {"iteration", "env_steps", "goal_ratio"},
@@ -41,7 +42,8 @@ def draw_run(folder: Path) -> list[Path]:
     settings = run.settings()
     tables = {name: _read(folder / f"{name}.csv", columns) for name, columns in _COLUMNS.items()}
     label = settings.sampler + (f" (α = {settings.alpha:g})" if settings.sampler == "pec" else "")
-    label += f", PPO, coordinates {Path(settings.coordinates).name}, seed {settings.seed}"
+    label += f", {LEARNERS[settings.algorithm]}, coordinates {Path(settings.coordinates).name}"
+    label += f", seed {settings.seed}"
     metrics, evaluation = tables["metrics"], tables["evaluation"]
     figures = {
         "goal_ratio": goal_ratio(metrics, evaluation, settings.greedy),

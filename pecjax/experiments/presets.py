@@ -107,6 +107,7 @@ _APEX_RLLIB_085 = ApexSettings(
     learning_starts=50_000,
     target_period=20_000,
     learning_rate=5e-4,
+    decay_updates=None,
     adam_eps=1e-8,
     max_grad_norm=40.0,
     huber=1.0,
