@@ -189,7 +189,6 @@ def test_the_target_is_copied_after_more_than_its_period():
     settings = replace(TOY, replay_ratio=1.0, batch_size=64, target_period=256, learning_starts=0)
     agent = toy(settings)
     state = jax.jit(agent.init)(jax.random.key(1))
-    env = TwoStates()
     network, optimizer = QNetwork(settings.network, 2), apex_update.make_optimizer(settings)
 
     def features(frame):
@@ -201,7 +200,6 @@ def test_the_target_is_copied_after_more_than_its_period():
         )
     )
     state, _ = jax.jit(agent.iterate)(state)
-    assert env.action_size == 2
     learner = state.learner._replace(copied=jnp.zeros((), jnp.int32))
     before, table = learner.target, []
     for i in range(11):

@@ -14,7 +14,7 @@ from pecjax.agents.networks import encode
 from pecjax.agents.q_network import QNetwork, action_values
 from pecjax.agents.replay import Frame, Replay, Rows, compress, expand
 from pecjax.agents.returns import n_step_return
-from pecjax.agents.rollout import Episodes, Fleet, Trajectory, launch, rollout
+from pecjax.agents.rollout import Episodes, Fleet, Trajectory, global_ids, launch, rollout
 from pecjax.curriculum.sampler import Sampler
 from pecjax.world.coordinates import Configurations
 from pecjax.world.navigation import RoomsNavigation, observation
@@ -106,9 +106,7 @@ def make(
 
     def iterate(state: TrainState) -> tuple[TrainState, Metrics]:
         key, key_rounds = jax.random.split(state.key)
-        num_local = state.fleet.fleet.config_id.shape[0]
-        first = 0 if axis_name is None else jax.lax.axis_index(axis_name) * num_local
-        env_ids = first + jnp.arange(num_local)
+        env_ids = global_ids(state.fleet.fleet.config_id.shape[0], axis_name)
 
         def fly(learner: Learner, actors: Actors, key: jax.Array) -> tuple[Actors, Episodes]:
             def act(obs: Any, chance: jax.Array) -> tuple[jax.Array, tuple]:

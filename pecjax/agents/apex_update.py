@@ -14,7 +14,7 @@ from pecjax.agents import replay
 from pecjax.agents.agent import device_mean
 from pecjax.agents.q_network import QNetwork, QNetworkSettings, action_values
 from pecjax.agents.replay import Replay, ReplaySettings
-from pecjax.agents.rollout import env_keys
+from pecjax.agents.rollout import env_keys, global_ids
 from pecjax.errors import InputError
 
 
@@ -173,8 +173,7 @@ def update(
     Returns:
         learner, shards and the means of the updates' figures by name.
     """
-    num_local = shards.head.shape[0]
-    first = 0 if axis_name is None else jax.lax.axis_index(axis_name) * num_local
+    shard_ids = global_ids(shards.head.shape[0], axis_name)
     share = settings.batch_size // settings.replay.num_shards
 
     def draw(shard: Replay, key: jax.Array) -> replay.Batch:
@@ -188,7 +187,7 @@ def update(
 
     def step(carry: tuple[Learner, Replay], key: jax.Array) -> tuple[tuple[Learner, Replay], dict]:
         learner, shards = carry
-        batch = jax.vmap(draw)(shards, env_keys(key, first + jnp.arange(num_local)))
+        batch = jax.vmap(draw)(shards, env_keys(key, shard_ids))
         ahead = features(batch.next_frame)
         following = double_value(
             action_values(network, learner.params, ahead), action_values(network, learner.target, ahead)

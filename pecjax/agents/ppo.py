@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from pecjax.agents.agent import Agent, Metrics, TrainState, summarize
 from pecjax.agents.networks import ActorCritic, draw_action, encode, forward
 from pecjax.agents.ppo_update import Learner, PPOSettings, make_optimizer, prepare, update
-from pecjax.agents.rollout import launch, rollout
+from pecjax.agents.rollout import global_ids, launch, rollout
 from pecjax.curriculum.sampler import Sampler
 from pecjax.world.coordinates import Configurations
 from pecjax.world.navigation import RoomsNavigation, observation
@@ -54,8 +54,6 @@ def make(
             logits, value = forward(network, learner.params, features)
             return draw_action(logits, chance), (features, logits, value)
 
-        num_local = state.fleet.config_id.shape[0]
-        first = 0 if axis_name is None else jax.lax.axis_index(axis_name) * num_local
         fleet, trajectory, episodes = rollout(
             env,
             table,
@@ -64,7 +62,7 @@ def make(
             act,
             state.fleet,
             key_rollout,
-            first + jnp.arange(num_local),
+            global_ids(state.fleet.config_id.shape[0], axis_name),
             settings.num_steps,
         )
         _, last_value = forward(network, learner.params, encode(observation(fleet.state), camera.far))

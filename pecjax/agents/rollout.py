@@ -67,6 +67,12 @@ def env_keys(key: jax.Array, env_ids: jax.Array) -> jax.Array:
     return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, env_ids)
 
 
+def global_ids(num_local: int, axis_name: str | None) -> jax.Array:
+    """The global numbers of what this device holds of something spread over the mesh axis."""
+    first = 0 if axis_name is None else jax.lax.axis_index(axis_name) * num_local
+    return first + jnp.arange(num_local)
+
+
 def draw_episodes(
     sampler: Sampler, sampler_state: Any, keys: jax.Array, num_draws: int
 ) -> tuple[jax.Array, jax.Array]:
