@@ -32,7 +32,7 @@ from pecjax.agents.networks import encode
 from pecjax.agents.ppo_update import PPOSettings
 from pecjax.curriculum import pec
 from pecjax.experiments.devices import use_all_cores
-from pecjax.experiments.run_directory import environment_facts
+from pecjax.experiments.provenance import environment_facts
 from pecjax.world.navigation import SPEEDS, YAW_RATES
 
 NUM_ENVS, NUM_STEPS, NUM_EPOCHS, NUM_MINIBATCHES = 512, 32, 4, 8

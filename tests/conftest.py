@@ -7,6 +7,7 @@ import jax
 jax.config.update("jax_num_cpu_devices", 4)
 
 import pytest  # noqa: E402
+from jax.experimental.compilation_cache.compilation_cache import reset_cache  # noqa: E402
 
 import pecjax  # noqa: E402
 from pecjax.world.scene import default_scene_path  # noqa: E402
@@ -96,3 +97,15 @@ def edited_rooms(tmp_path_factory):
 def step(env):
     """`env.step`, compiled once for every test that flies."""
     return jax.jit(env.step)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Where runs go; what is compiled for one of them is kept for the next."""
+    folder = tmp_path_factory.mktemp("runs")
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(folder / "compiled"))
+    reset_cache()  # JAX asks only once whether there is one
+    yield folder
+    jax.config.update("jax_compilation_cache_dir", before)
+    reset_cache()

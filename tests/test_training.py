@@ -7,13 +7,12 @@ import jax
 import numpy as np
 import pandas as pd
 import pytest
-from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from matplotlib.image import imread
 
 import pecjax
 from pecjax.agents.networks import NetworkSettings
 from pecjax.agents.replay import ReplaySettings
-from pecjax.experiments import figures, presets, training
+from pecjax.experiments import assembly, presets, run_figures, training
 from pecjax.experiments.checkpoint import Checkpoints
 from pecjax.experiments.evaluation import goal_ratios
 from pecjax.experiments.presets import PRESETS
@@ -31,18 +30,6 @@ TINY = replace(
 )
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-
-
-@pytest.fixture(scope="module")
-def folders(tmp_path_factory):
-    """Where runs go; what is compiled for one of them is kept for the next."""
-    folder = tmp_path_factory.mktemp("runs")
-    before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", str(folder / "compiled"))
-    reset_cache()  # JAX asks only once whether there is one
-    yield folder
-    jax.config.update("jax_compilation_cache_dir", before)
-    reset_cache()
 
 
 @pytest.fixture(scope="module")
@@ -138,11 +125,11 @@ def test_summary_says_what_the_tables_say(run, tables):
 def test_a_checkpoint_flies_the_evaluation_that_was_written_down(run, tables):
     folder, _ = run
     directory = RunDirectory(folder)
-    again = training.build(TINY, load_scene(directory.scene_path), directory.table(), num_devices=2)
-    like = training.abstract_learner(again)
+    again = assembly.build(TINY, load_scene(directory.scene_path), directory.table(), num_devices=2)
+    like = assembly.abstract_learner(again)
     checkpoints = Checkpoints(folder)
     assert checkpoints.iterations() == [2, 4, 5]
-    fly = training.compile_evaluator(again, TINY, like)
+    fly = assembly.compile_evaluator(again, TINY, like)
     for iteration in (2, None):
         found, learner = checkpoints.load_learner(like, iteration)
         assert found == (iteration or 5)
@@ -166,7 +153,7 @@ def test_trajectories_lead_from_start_towards_the_written_end(tables):
 
 
 def test_figures_are_drawn_and_show_something(run):
-    paths = figures.draw_run(run[0])
+    paths = run_figures.draw_run(run[0])
     assert {path.suffix for path in paths} == {".png", ".svg"}
     assert len(paths) == len(set(paths)) >= 8
     for path in paths:
@@ -177,7 +164,7 @@ def test_figures_are_drawn_and_show_something(run):
         else:
             assert path.read_text().rstrip().endswith("</svg>")
     before = {path: path.read_bytes() for path in paths if path.suffix == ".svg"}
-    figures.draw_run(run[0])
+    run_figures.draw_run(run[0])
     assert all(path.read_bytes() == content for path, content in before.items())
 
 
@@ -257,12 +244,12 @@ def test_a_run_of_apex_leaves_the_same_files_and_its_policy_can_be_had(folders, 
     counts = pd.read_csv(folder / "configurations.csv")
     assert counts[counts.iteration == 3].trials.sum() == metrics.episodes.sum()
     assert "replay: 1 MB" in capsys.readouterr().err
-    assert figures.draw_run(folder)
+    assert run_figures.draw_run(folder)
     directory = RunDirectory(folder)
     assert directory.settings() == settings
-    again = training.build(settings, load_scene(directory.scene_path), directory.table(), num_devices=2)
-    iteration, learner = Checkpoints(folder).load_learner(training.abstract_learner(again))
-    flights = training.compile_evaluator(again, settings, learner)(learner)
+    again = assembly.build(settings, load_scene(directory.scene_path), directory.table(), num_devices=2)
+    iteration, learner = Checkpoints(folder).load_learner(assembly.abstract_learner(again))
+    flights = assembly.compile_evaluator(again, settings, learner)(learner)
     assert iteration == 3 and flights.goal.mean() == summary["uniform_evaluation"]["goal_ratio"]
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from pecjax.curriculum.sampler import Outcomes, Sampler
+from pecjax.curriculum.sampler import Outcomes, Sampler, choose
 from pecjax.errors import InputError
 
 
@@ -31,7 +31,8 @@ def uniform(num_configs: int) -> Sampler:
         return jnp.full(num_configs, 1 / num_configs)
 
     def sample(state: UniformState, key: jax.Array, shape: tuple[int, ...] = ()) -> jax.Array:
-        return jax.random.randint(key, shape, 0, num_configs, jnp.int32)
+        # As PEC draws: with one key, both begin a training with the same configurations.
+        return choose(probabilities(state), key, shape)
 
     def update(state: UniformState, outcomes: Outcomes, axis_name: str | None = None) -> UniformState:
         return state

@@ -43,6 +43,28 @@ def even_draw(num_configs: int, episodes: int, seed: int) -> np.ndarray:
     return np.concatenate([np.tile(np.arange(num_configs), episodes // num_configs), rest]).astype(np.int32)
 
 
+def make_flyer(
+    env: RoomsNavigation, table: Configurations, agent: Agent, *, greedy: bool, seed: int
+) -> Callable[[Any, jax.Array, jax.Array], Flights]:
+    """Sets the conditions under which policies can be compared.
+
+    Its `fly` takes a learner and, for each of E episodes, configuration and number, and returns
+    `Flights`; it can be jitted, vmapped over learners and sharded over episodes.
+
+    Args:
+        greedy: takes the likeliest action at every step; else draws, as training does.
+        seed: of headings and drawn actions: two policies with one seed fly the same episodes.
+    """
+
+    def fly(learner: Any, config_id: jax.Array, episode: jax.Array) -> Flights:
+        keys = env_keys(jax.random.key(seed), episode)
+        headings = jax.vmap(lambda k: jax.random.uniform(k, minval=-jnp.pi, maxval=jnp.pi))(keys)
+        rows = jax.tree.map(lambda leaf: jnp.asarray(leaf)[config_id], table)
+        return fly_to_the_end(env, agent.policy(learner, greedy), rows, headings, keys, config_id)
+
+    return fly
+
+
 def make_evaluator(
     env: RoomsNavigation,
     table: Configurations,
@@ -53,29 +75,25 @@ def make_evaluator(
     greedy: bool,
     seed: int,
 ) -> Callable[[Any], Callable[[Any], Flights]]:
-    """Sets E episodes on which policies can be compared.
+    """Sets E episodes, an even draw, shared by the mesh's devices.
 
     Its `compile` takes a learner (arrays or their shapes) and returns fly(learner) -> `Flights` of
     numpy arrays.
 
     Args:
-        greedy: takes the likeliest action at every step; else draws, as training does.
-        seed: of headings and drawn actions: two policies with one seed fly the same episodes.
+        greedy, seed: of `make_flyer`.
     """
     devices = mesh.devices.size
     config_id = even_draw(table.size, episodes, seed)
     padded = np.resize(config_id, -(-episodes // devices) * devices)
-
-    def fly(learner: Any, config_id: jax.Array, episode: jax.Array) -> Flights:
-        keys = env_keys(jax.random.key(seed), episode)
-        headings = jax.vmap(lambda k: jax.random.uniform(k, minval=-jnp.pi, maxval=jnp.pi))(keys)
-        rows = jax.tree.map(lambda leaf: jnp.asarray(leaf)[config_id], table)
-        return fly_to_the_end(env, agent.policy(learner, greedy), rows, headings, keys, config_id)
-
     spread = PartitionSpec(AXIS)
     program = jax.jit(
         jax.shard_map(
-            fly, mesh=mesh, in_specs=(PartitionSpec(), spread, spread), out_specs=spread, check_vma=False
+            make_flyer(env, table, agent, greedy=greedy, seed=seed),
+            mesh=mesh,
+            in_specs=(PartitionSpec(), spread, spread),
+            out_specs=spread,
+            check_vma=False,
         )
     )
 

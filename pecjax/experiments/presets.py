@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import jax
+
 from pecjax import curriculum
 from pecjax.agents.apex_update import ApexSettings
 from pecjax.agents.networks import NetworkSettings
@@ -15,10 +17,11 @@ from pecjax.agents.replay import ReplaySettings
 from pecjax.curriculum import Sampler
 from pecjax.errors import InputError
 
-SAMPLERS: dict[str, Callable[[int, float], Sampler]] = {
+SAMPLERS: dict[str, Callable[[int, float | jax.Array], Sampler]] = {
     "pec": lambda num_configs, alpha: curriculum.pec(num_configs, alpha),
     "uniform": lambda num_configs, alpha: curriculum.uniform(num_configs),
 }
+WITHOUT_ALPHA = {"uniform"}
 
 
 @dataclass(frozen=True)
@@ -190,3 +193,8 @@ def override(settings: RunSettings, num_envs: int | None = None, **changes: obje
         learner = settings.learner.with_envs(num_envs)
         settings = dataclasses.replace(settings, **{settings.algorithm: learner})
     return dataclasses.replace(settings, **{k: v for k, v in changes.items() if v is not None})
+
+
+def has_alpha(sampler: str) -> bool:
+    """Whether α means anything to the sampler of that name."""
+    return sampler not in WITHOUT_ALPHA

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from pecjax.agents.agent import Metrics
 from pecjax.experiments.evaluation import Flights, goal_ratios
+from pecjax.experiments.plain_files import Row
 
-Row = dict[str, Any]
 DRAWN_FLIGHTS = 2  # of each configuration, kept in trajectories.csv
 
 

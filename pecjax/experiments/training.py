@@ -7,59 +7,21 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from pecjax.agents import apex, ppo
-from pecjax.agents.agent import AXIS, Agent, Metrics, TrainState, fleet_mesh, shard
-from pecjax.curriculum import Sampler
-from pecjax.experiments import evaluation, tables
+from pecjax.agents.agent import Metrics, TrainState
+from pecjax.experiments import tables
+from pecjax.experiments.assembly import Run, build, compile_evaluator, load_world
 from pecjax.experiments.checkpoint import Checkpoints
-from pecjax.experiments.devices import check_memory, choose_num_devices
-from pecjax.experiments.presets import SAMPLERS, RunSettings, check_settings
-from pecjax.experiments.progress import RunProgress
-from pecjax.experiments.run_directory import RunDirectory, check_free
-from pecjax.world.coordinates import Configurations, check_coordinates, load_coordinates
-from pecjax.world.navigation import NavigationSettings, RoomsNavigation
-from pecjax.world.scene import Scene, default_scene_path, load_scene
-
-
-class Run(NamedTuple):
-    """What a run is built from."""
-
-    env: RoomsNavigation
-    table: Configurations
-    sampler: Sampler
-    agent: Agent
-    mesh: Mesh
-
-
-def build(settings: RunSettings, scene: Scene, table: Configurations, num_devices: int) -> Run:
-    """Puts world, curriculum and learner together, spread over devices.
-
-    Raises:
-        InputError: settings that do not fit one another.
-    """
-    env = RoomsNavigation(scene, table)
-    sampler = SAMPLERS[settings.sampler](table.size, settings.alpha)
-    mesh = fleet_mesh(num_devices)
-    if settings.algorithm == "apex":
-        agent = apex.make(env, table, sampler, settings.apex, AXIS)
-    else:
-        agent = ppo.make(env, table, sampler, settings.ppo, AXIS)
-    check_memory(agent.replay_bytes, num_devices)
-    agent = shard(agent, mesh)
-    return Run(env, table, sampler, agent, mesh)
-
-
-def abstract_learner(run: Run) -> Any:
-    """Shapes and placement of the learner's arrays, without making any of them."""
-    everywhere = NamedSharding(run.mesh, PartitionSpec())
-    state = jax.eval_shape(run.agent.init, jax.random.key(0))
-    return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=everywhere), state.learner)
+from pecjax.experiments.devices import choose_num_devices
+from pecjax.experiments.plain_files import check_free
+from pecjax.experiments.presets import RunSettings, check_settings
+from pecjax.experiments.progress import Progress
+from pecjax.experiments.run_directory import RunDirectory
+from pecjax.world.scene import load_scene
 
 
 def start(run: Run, seed: int) -> tuple[TrainState, Callable[[TrainState], tuple[TrainState, Metrics]]]:
@@ -70,19 +32,6 @@ def start(run: Run, seed: int) -> tuple[TrainState, Callable[[TrainState], tuple
         state = aside.submit(lambda: init.compile()(key))
         iterate = jax.jit(run.agent.iterate, donate_argnums=0).trace(init.out_info)
         return state.result(), iterate.lower().compile()
-
-
-def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable[[Any], evaluation.Flights]:
-    """The run's evaluation as a compiled program, learner -> flights."""
-    return evaluation.make_evaluator(
-        run.env,
-        run.table,
-        run.agent,
-        run.mesh,
-        episodes=settings.evaluation_episodes,
-        greedy=settings.greedy,
-        seed=settings.evaluation_seed,
-    )(learner)
 
 
 def train(settings: RunSettings, folder: Path, devices: int | None = None) -> dict[str, Any]:
@@ -99,24 +48,21 @@ def train(settings: RunSettings, folder: Path, devices: int | None = None) -> di
         InputError: anything the user can put right; nothing has been written then.
     """
     check_settings(settings)
-    scene_path = Path(settings.scene) if settings.scene is not None else default_scene_path()
-    table = load_coordinates(settings.coordinates)
     num_devices = choose_num_devices(devices, settings.learner.shares)
-    scene = load_scene(scene_path, settings.resolution)
-    check_coordinates(scene, table, flight_height=NavigationSettings().flight_height)
+    scene_path, scene, table = load_world(settings)
     build(settings, scene, table, num_devices)
     check_free(folder)
     directory = RunDirectory(folder)
     directory.create(settings, scene_path, table, num_devices)
     run = build(settings, load_scene(directory.scene_path, settings.resolution), table, num_devices)
-    with RunProgress(settings.iterations) as progress:
+    with Progress(settings.iterations) as progress:
         progress.say(f"{folder}: {settings.learner.num_envs} environments on {num_devices} device(s)")
         if run.agent.replay_bytes:
             progress.say(f"replay: {run.agent.replay_bytes / 1e6:,.0f} MB")
         return _loop(settings, run, directory, progress)
 
 
-def _loop(settings: RunSettings, run: Run, directory: RunDirectory, progress: RunProgress) -> dict[str, Any]:
+def _loop(settings: RunSettings, run: Run, directory: RunDirectory, progress: Progress) -> dict[str, Any]:
     checkpoints = Checkpoints(directory.folder)
     clock = _Clock()
     with clock.compiling():
@@ -155,7 +101,8 @@ def _loop(settings: RunSettings, run: Run, directory: RunDirectory, progress: Ru
             )
             if last:
                 directory.append("trajectories.csv", tables.path_rows(flights, run.table.size))
-        progress.advance(iteration, row["goal_ratio"], row["env_steps"] / clock.seconds(), clock.seconds())
+        rate = row["env_steps"] / clock.seconds()
+        progress.advance(1, f"training goal ratio {row['goal_ratio']:.3f}, {rate:,.0f} steps/s")
 
     seconds = clock.seconds()
     summary = {

@@ -1,0 +1,1 @@
+"""The commands: one file each, a frozen dataclass whose fields are its options."""

@@ -1,0 +1,26 @@
+"""Drawing, begun only when it is asked for: pandas and matplotlib would hold up the rest by 2 s."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+from pecjax.world.coordinates import Configurations
+from pecjax.world.scene import Scene
+
+
+def draw(folder: Path) -> list[Path]:
+    """Draws every figure of a run or a study into its folder; returns the files.
+
+    Raises:
+        InputError: the folder holds neither, or nothing to draw yet.
+    """
+    if (folder / "study.json").is_file():
+        return importlib.import_module("pecjax.experiments.study_figures").draw_study(folder)
+    return importlib.import_module("pecjax.experiments.run_figures").draw_run(folder)
+
+
+def draw_map(scene: Scene, table: Configurations, stem: Path) -> list[Path]:
+    """Draws a map and its configurations to `stem`.png and .svg."""
+    figure = importlib.import_module("pecjax.experiments.map_figure").rooms(scene, table)
+    return importlib.import_module("pecjax.experiments.drawing").save(figure, stem)

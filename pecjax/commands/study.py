@@ -1,0 +1,106 @@
+"""`pecjax study`."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import tyro
+
+from pecjax.commands.drawing import draw
+from pecjax.errors import InputError
+from pecjax.experiments import presets
+from pecjax.experiments.grid import StudySettings
+from pecjax.experiments.studies import find_study
+from pecjax.experiments.study import run_study
+from pecjax.experiments.study_directory import StudyDirectory
+
+
+@dataclass(frozen=True)
+class Study:
+    """Trains a grid of samplers, α and seeds, paired by seed, and compares them.
+
+    Stopped at any moment, the same command goes on where it was.
+
+    Attributes:
+        name: one of the paper's experiments: fig4 (PPO, set 1), fig8 (set 2), fig11 (α), fig14
+            (Ape-X). (default: a grid of your own)
+        scale: of a named study: smoke (seconds, to try it), laptop (our presets, for two cores) or
+            paper (its iteration counts and RLlib's settings).
+        preset: the settings all runs share. (default: the study's, or fast)
+        samplers: pec, uniform or both. (default: both)
+        alphas: each is tried with pec. (default: 0.2)
+        coordinates: the paper's sets 1 and 2, or files. (default: 1)
+        seeds: numbers, or ranges such as 0-9. (default: 0-4)
+        iterations: of each run. (default: the preset's)
+        evaluate_every: iterations between evaluations. (default: the preset's)
+        scene: a map and drone in MJCF. (default: the paper's six rooms)
+        at_once: runs in one program. (default: as many as there are devices)
+        out: the study's folder. (default: studies/NAME-SCALE)
+    """
+
+    name: Annotated[str | None, tyro.conf.Positional] = None
+    scale: str = "laptop"
+    preset: str | None = None
+    samplers: tuple[str, ...] | None = None
+    alphas: tuple[float, ...] | None = None
+    coordinates: tuple[str, ...] | None = None
+    seeds: tuple[str, ...] | None = None
+    iterations: int | None = None
+    evaluate_every: int | None = None
+    scene: str | None = None
+    at_once: int | None = None
+    out: Path | None = None
+
+    def run(self) -> None:
+        """Trains, summarizes and draws."""
+        folder = self.out or Path("studies") / (f"{self.name}-{self.scale}" if self.name else "own")
+        run_study(self._settings(folder), folder)
+        report = importlib.import_module("pecjax.experiments.study_report")
+        print(report.write_report(folder))
+        draw(folder)
+        print(f"{folder}: results.csv, summary.csv, paired.csv and figures/")
+
+    def _settings(self, folder: Path) -> StudySettings:
+        study = (
+            find_study(self.name, self.scale) if self.name else StudySettings("own", presets.PRESETS["fast"])
+        )
+        run = study.run if self.preset is None else presets.find_preset(self.preset)
+        at_once = self.at_once
+        if at_once is None and (folder / "study.json").is_file():
+            at_once = StudyDirectory(folder).settings().at_once  # as it was begun
+        changes = {
+            "samplers": self.samplers,
+            "alphas": self.alphas,
+            "coordinates": self.coordinates,
+            "seeds": None if self.seeds is None else read_seeds(self.seeds),
+            "at_once": len(jax.devices()) if at_once is None else at_once,
+        }
+        run = presets.override(
+            run, iterations=self.iterations, evaluate_every=self.evaluate_every, scene=self.scene
+        )
+        given = {name: value for name, value in changes.items() if value is not None}
+        return dataclasses.replace(study, run=run, **given)
+
+
+def read_seeds(words: tuple[str, ...]) -> tuple[int, ...]:
+    """Seeds from words such as '3' and '0-9'.
+
+    Raises:
+        InputError: a word is neither.
+    """
+    seeds: list[int] = []
+    for word in words:
+        found = re.fullmatch(r"(\d{1,10})(?:-(\d{1,10}))?", word)
+        if not found:
+            raise InputError(f"seeds: '{word}' is neither a number nor a range such as 0-9")
+        first, last = int(found[1]), int(found[2] or found[1])
+        if not first <= last < first + 10_000:
+            raise InputError(f"seeds: '{word}' must rise, by less than 10,000")
+        seeds.extend(range(first, last + 1))
+    return tuple(seeds)

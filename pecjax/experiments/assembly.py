@@ -1,0 +1,94 @@
+"""Assembly: world, curriculum and learner put together as the settings say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from pecjax.agents import apex, ppo
+from pecjax.agents.agent import AXIS, Agent, fleet_mesh, shard
+from pecjax.curriculum import Sampler
+from pecjax.experiments import evaluation
+from pecjax.experiments.devices import check_memory
+from pecjax.experiments.presets import SAMPLERS, RunSettings
+from pecjax.world.coordinates import Configurations, check_coordinates, load_coordinates
+from pecjax.world.navigation import NavigationSettings, RoomsNavigation
+from pecjax.world.scene import Scene, default_scene_path, load_scene
+
+
+class Run(NamedTuple):
+    """What a run is built from."""
+
+    env: RoomsNavigation
+    table: Configurations
+    sampler: Sampler
+    agent: Agent
+    mesh: Mesh
+
+
+def load_world(settings: RunSettings) -> tuple[Path, Scene, Configurations]:
+    """The map's file, the map and the coordinates, checked against one another.
+
+    Raises:
+        InputError: a file that is not there or is wrong, or pairs that cannot be flown.
+    """
+    scene_path = Path(settings.scene) if settings.scene is not None else default_scene_path()
+    table = load_coordinates(settings.coordinates)
+    scene = load_scene(scene_path, settings.resolution)
+    check_coordinates(scene, table, flight_height=NavigationSettings().flight_height)
+    return scene_path, scene, table
+
+
+def make_agent(
+    settings: RunSettings,
+    env: RoomsNavigation,
+    table: Configurations,
+    sampler: Sampler,
+    axis_name: str | None = None,
+) -> Agent:
+    """The learner that the settings name.
+
+    Raises:
+        InputError: settings that do not fit one another.
+    """
+    if settings.algorithm == "apex":
+        return apex.make(env, table, sampler, settings.apex, axis_name)
+    return ppo.make(env, table, sampler, settings.ppo, axis_name)
+
+
+def build(settings: RunSettings, scene: Scene, table: Configurations, num_devices: int) -> Run:
+    """Puts world, curriculum and learner together, spread over devices.
+
+    Raises:
+        InputError: settings that do not fit one another, or a replay that memory cannot hold.
+    """
+    env = RoomsNavigation(scene, table)
+    sampler = SAMPLERS[settings.sampler](table.size, settings.alpha)
+    mesh = fleet_mesh(num_devices)
+    agent = make_agent(settings, env, table, sampler, AXIS)
+    check_memory(agent.replay_bytes, num_devices)
+    return Run(env, table, sampler, shard(agent, mesh), mesh)
+
+
+def abstract_learner(run: Run) -> Any:
+    """Shapes and placement of the learner's arrays, without making any of them."""
+    everywhere = NamedSharding(run.mesh, PartitionSpec())
+    state = jax.eval_shape(run.agent.init, jax.random.key(0))
+    return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=everywhere), state.learner)
+
+
+def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable[[Any], evaluation.Flights]:
+    """The run's evaluation as a compiled program, learner -> flights."""
+    return evaluation.make_evaluator(
+        run.env,
+        run.table,
+        run.agent,
+        run.mesh,
+        episodes=settings.evaluation_episodes,
+        greedy=settings.greedy,
+        seed=settings.evaluation_seed,
+    )(learner)

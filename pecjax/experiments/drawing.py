@@ -1,0 +1,79 @@
+"""Drawing: what all figures share: colours, reading tables, saving pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pecjax.errors import InputError
+
+# Colours that stay apart in grey (Okabe & Ito).
+TRIALS, FAILURES, GOAL, PATH = "#9fb8cc", "#a0330f", "#00573f", "#1f5f99"
+LEARNERS = {"ppo": "PPO", "apex": "Ape-X DQN"}
+SNAPSHOTS = 4  # iterations shown side by side, as in the paper's Fig. 5
+
+matplotlib.rcParams["svg.hashsalt"] = "pecjax"
+
+
+def read_table(path: Path, columns: set[str]) -> pd.DataFrame:
+    """Reads a CSV file that must have rows, and these columns of numbers.
+
+    Raises:
+        InputError: it is not there or has not.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: missing; it has not come to its end")
+    try:
+        table = pd.read_csv(path)
+    except ValueError as error:  # pandas' own errors are of this kind
+        raise InputError(f"{path}: not a table ({error}); it must be done again") from error
+    numeric = set(table.select_dtypes("number").columns)
+    if not columns <= numeric or table.empty:
+        lacking = ", ".join(sorted(columns - numeric)) or "rows"
+        raise InputError(f"{path}: lacks {lacking}; it must be done again")
+    return table
+
+
+def save(figure: Figure, path: Path) -> list[Path]:
+    """Writes a figure as PNG and SVG; `path` is without their endings."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    paths = [path.with_name(path.name + suffix) for suffix in (".png", ".svg")]
+    figure.savefig(paths[0], dpi=150)
+    figure.savefig(paths[1], metadata={"Date": None})
+    return paths
+
+
+def steps_axis(axes: Axes, batch: float) -> None:
+    """An axis of environment steps above one of iterations of `batch` steps."""
+    to_steps: tuple[Callable, Callable] = (lambda i: i * batch / 1e6, lambda s: s / batch * 1e6)
+    axes.secondary_xaxis("top", functions=to_steps).set_xlabel("environment steps (millions)")
+
+
+def trials_and_failures(axes: Axes, rows: pd.DataFrame) -> Axes:
+    """Bars of the trial ratio and a line of the failure ratio by configuration (Fig. 5).
+
+    Args:
+        rows: columns config, trials and failures, of one iteration.
+
+    Returns:
+        the axes of the failure ratio, on the right.
+    """
+    twin = axes.twinx()
+    axes.bar(rows.config, rows.trials / max(rows.trials.sum(), 1), color=TRIALS, label="trial ratio")
+    ratio = rows.failures / rows.trials.where(rows.trials > 0)
+    twin.plot(rows.config, ratio, "o-", color=FAILURES, markersize=3, linewidth=1, label="failure ratio")
+    twin.set_ylim(0, 1)
+    axes.set_xlabel("configuration c")
+    return twin
+
+
+def snapshots(iterations: list[int]) -> list[int]:
+    """Those of the iterations that lie nearest to even parts of the whole."""
+    last = iterations[-1]
+    wanted = [last * part / SNAPSHOTS for part in range(1, SNAPSHOTS + 1)]
+    return sorted({min(iterations, key=lambda i: abs(i - w)) for w in wanted})

@@ -1,0 +1,83 @@
+"""Measures: what runs are compared by, with intervals over seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+WORST = 0.1  # the share of the configurations that CVaR looks at
+PATIENCE = 5  # evaluations, or iterations, in a row that count as held
+RESAMPLES = 2000
+
+
+class Interval(NamedTuple):
+    """A figure with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def cvar(ratios: np.ndarray) -> np.ndarray:
+    """CVaR-10 %: the mean over the worst tenth of the configurations, one at least.
+
+    Args:
+        ratios: (…, N) goal ratios; those that were not flown (NaN) do not count.
+    """
+    number = max(1, round(WORST * ratios.shape[-1]))
+    return np.nanmean(np.sort(ratios, axis=-1)[..., :number], axis=-1)
+
+
+def first_held(ratios: np.ndarray, threshold: float, patience: int = PATIENCE) -> int | None:
+    """The place at which the first `patience` figures in a row at the threshold or above begin."""
+    reached = ratios >= threshold
+    for first in range(len(reached) - patience + 1):
+        if reached[first : first + patience].all():
+            return first
+    return None
+
+
+def steps_until(steps: np.ndarray, ratios: np.ndarray, threshold: float) -> float:
+    """Environment steps at the first of `PATIENCE` figures in a row that hold it; inf if none do."""
+    first = first_held(ratios, threshold)
+    return float("inf") if first is None else float(steps[first])
+
+
+def steps_to_exit(steps: np.ndarray, ratios: np.ndarray, threshold: float) -> float:
+    """Environment steps at the last of them, where the paper's exit condition ends a training."""
+    first = first_held(ratios, threshold)
+    return float("inf") if first is None else float(steps[first + PATIENCE - 1])
+
+
+def area_under_curve(steps: np.ndarray, ratios: np.ndarray) -> float:
+    """The mean of the curve from the first to the last of its steps, by trapezes."""
+    if len(steps) == 1:
+        return float(ratios[0])
+    return float(np.trapezoid(ratios, steps) / (steps[-1] - steps[0]))
+
+
+def interquartile_mean(values: np.ndarray, axis: int = -1) -> np.ndarray:
+    """The mean of the middle half (Agarwal et al. 2021, "Deep RL at the edge of the precipice")."""
+    return stats.trim_mean(values, 0.25, axis=axis)
+
+
+def interval(values: np.ndarray, statistic: Callable[..., np.ndarray] = interquartile_mean) -> Interval:
+    """A statistic over seeds with its bootstrap 95 % interval (percentiles); NaN below two seeds."""
+    sample = values.astype(float)
+    value = float(statistic(sample, axis=-1))
+    if len(sample) < 2 or not np.isfinite(sample).all():
+        return Interval(value, float("nan"), float("nan"))
+    if np.all(sample == sample[0]):
+        return Interval(value, value, value)
+    found = stats.bootstrap(
+        (sample,), statistic, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
+    ).confidence_interval
+    return Interval(value, float(found.low), float(found.high))
+
+
+def paired_difference(values: np.ndarray, baseline: np.ndarray) -> Interval:
+    """Mean of values - baseline, pair by pair, with its bootstrap 95 % interval."""
+    return interval(values - baseline, np.mean)

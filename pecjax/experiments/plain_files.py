@@ -1,0 +1,92 @@
+"""Plain files: how tables, settings, maps and coordinates are put on disk."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from pecjax.errors import InputError
+from pecjax.world.coordinates import Configurations
+
+Row = dict[str, Any]
+
+
+def csv_text(rows: Iterable[Row], header: bool = True) -> str:
+    """Rows with the same columns as lines of CSV, a header before them if there are any."""
+    text = io.StringIO()
+    for number, row in enumerate(rows):
+        writer = csv.DictWriter(text, fieldnames=list(row), lineterminator="\n")
+        if header and number == 0:
+            writer.writeheader()
+        writer.writerow({key: _plain(value) for key, value in row.items()})
+    return text.getvalue()
+
+
+def _plain(value: Any) -> Any:
+    """Seven digits are all that float32 holds; a missing figure is an empty field."""
+    if isinstance(value, float | np.floating):
+        return "" if np.isnan(value) else f"{value:.7g}"
+    return value
+
+
+def json_text(content: dict[str, Any]) -> str:
+    """One JSON object, for people to read too."""
+    return json.dumps(content, indent=2) + "\n"
+
+
+def coordinates_text(table: Configurations) -> str:
+    """A coordinates file that reads back as the same table."""
+    text = io.StringIO()
+    rows = np.hstack([table.start, table.goal])
+    np.savetxt(text, rows, "%.9g", ",", header="start_x,start_y,goal_x,goal_y")
+    return text.getvalue()
+
+
+def scene_text(scene_path: Path) -> str:
+    """The map with all that it includes, as one MJCF file.
+
+    Raises:
+        InputError: it needs files that are not MJCF.
+    """
+    spec = mujoco.MjSpec.from_file(str(scene_path))
+    for asset in (*spec.meshes, *spec.textures, *spec.hfields, *spec.skins):
+        if getattr(asset, "file", ""):
+            raise InputError(
+                f"{scene_path}: needs the file '{asset.file}', but a run keeps its map as one file; "
+                "take the asset out or draw it with plain geoms"
+            )
+    return spec.to_xml()
+
+
+def replace_file(path: Path, text: str) -> None:
+    """Puts a whole file in place of another: whoever reads sees the old or the new one."""
+    new = path.with_name(f".{path.name}.new")
+    new.write_text(text)
+    os.replace(new, path)
+
+
+def check_free(folder: Path) -> None:
+    """Makes sure that something new can be written into `folder`, without leaving anything there.
+
+    Raises:
+        InputError: the folder holds something already, or cannot be written.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; give a folder with --out")
+    if folder.is_dir() and any(folder.iterdir()):
+        held = next((held for name, held in _HELD.items() if (folder / name).exists()), "is not empty")
+        raise InputError(f"{folder}: {held}; give another folder with --out")
+    nearest = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
+        raise InputError(f"{folder}: {nearest} cannot be written; give another folder with --out")
+
+
+_HELD = {"config.json": "holds another run", "study.json": "holds a study"}

@@ -1,0 +1,138 @@
+"""The figures of one run, drawn from its plain files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from pecjax.experiments.drawing import (
+    FAILURES,
+    GOAL,
+    LEARNERS,
+    PATH,
+    TRIALS,
+    read_table,
+    save,
+    snapshots,
+    steps_axis,
+    trials_and_failures,
+)
+from pecjax.experiments.map_figure import rooms
+from pecjax.experiments.run_directory import RunDirectory
+from pecjax.world.scene import load_scene
+
+SMOOTHED_ITERATIONS = 20
+_COLUMNS = {
+    "metrics": {"iteration", "env_steps", "goal_ratio"},
+    "configurations": {"iteration", "config", "trials", "failures"},
+    "evaluation": {"iteration", "goal_ratio", "mean_return"},
+    "trajectories": {"episode", "config", "goal", "step", "x", "y"},
+}
+
+
+def draw_run(folder: Path) -> list[Path]:
+    """Draws every figure of one run as PNG and SVG into its `figures` folder.
+
+    Raises:
+        InputError: the folder holds no finished run.
+    """
+    run = RunDirectory(folder)
+    settings = run.settings()
+    tables = {name: read_table(folder / f"{name}.csv", columns) for name, columns in _COLUMNS.items()}
+    label = settings.sampler + (f" (α = {settings.alpha:g})" if settings.sampler == "pec" else "")
+    label += f", {LEARNERS[settings.algorithm]}, coordinates {Path(settings.coordinates).name}"
+    label += f", seed {settings.seed}"
+    metrics, evaluation = tables["metrics"], tables["evaluation"]
+    figures = {
+        "goal_ratio": goal_ratio(metrics, evaluation, settings.greedy),
+        "configurations": configurations(tables["configurations"]),
+        "spread": spread(tables["configurations"]),
+        "evaluation": evaluations(evaluation, settings.evaluation_episodes, settings.greedy),
+        "map": rooms(load_scene(run.scene_path), run.table(), tables["trajectories"]),
+    }
+    for figure in figures.values():
+        figure.suptitle(label, fontsize=10)
+    return [path for name, figure in figures.items() for path in save(figure, folder / "figures" / name)]
+
+
+def goal_ratio(metrics: pd.DataFrame, evaluation: pd.DataFrame, greedy: bool) -> Figure:
+    """Goal ratio against iteration, in training and on the uniform evaluation (Fig. 4)."""
+    figure = Figure((6.4, 3.8), layout="constrained")
+    axes = figure.subplots()
+    smooth = metrics.goal_ratio.rolling(SMOOTHED_ITERATIONS, min_periods=1).mean()
+    axes.plot(metrics.iteration, metrics.goal_ratio, color=TRIALS, linewidth=0.8)
+    axes.plot(
+        metrics.iteration,
+        smooth,
+        color=PATH,
+        label=f"training, the sampler's own draw (mean of {SMOOTHED_ITERATIONS})",
+    )
+    axes.plot(
+        evaluation.iteration,
+        evaluation.goal_ratio,
+        "o--",
+        color=GOAL,
+        markersize=4,
+        label=f"uniform evaluation, {'greedy' if greedy else 'sampled'} actions",
+    )
+    axes.set(xlabel="iteration", ylabel="goal ratio", ylim=(0, 1.02), xlim=(0, metrics.iteration.max()))
+    axes.legend(loc="lower right", fontsize=8)
+    axes.grid(alpha=0.3)
+    steps_axis(axes, metrics.env_steps.iloc[0] / metrics.iteration.iloc[0])
+    return figure
+
+
+def configurations(table: pd.DataFrame) -> Figure:
+    """Trial ratio (bars) and failure ratio (line) per configuration at chosen iterations (Fig. 5)."""
+    chosen = snapshots(sorted(set(table.iteration)))
+    figure = Figure((3.2 * len(chosen), 3.2), layout="constrained")
+    all_axes = figure.subplots(1, len(chosen), sharey=True, squeeze=False)[0]
+    twins = []
+    for axes, iteration in zip(all_axes, chosen, strict=True):
+        twins.append(trials_and_failures(axes, table.loc[table.iteration == iteration]))
+        twins[-1].tick_params(labelright=iteration == chosen[-1])
+        axes.set_title(f"iteration {iteration}", fontsize=9)
+    all_axes[0].set_ylabel("trial ratio (bars)")
+    twins[-1].set_ylabel("failure ratio (line)")
+    return figure
+
+
+def spread(table: pd.DataFrame) -> Figure:
+    """Mean and standard deviation over configurations of both ratios (Fig. 6)."""
+    total = table.groupby("iteration").trials.transform("sum").clip(lower=1)
+    ratios = table.assign(
+        trial=table.trials / total, failure=table.failures / table.trials.where(table.trials > 0)
+    )
+    figure = Figure((8, 3.4), layout="constrained")
+    for axes, name, color in zip(figure.subplots(1, 2), ("trial", "failure"), (PATH, FAILURES), strict=True):
+        by_iteration = ratios.groupby("iteration")[name]
+        mean, deviation = by_iteration.mean(), by_iteration.std(ddof=0)
+        axes.plot(mean.index, mean, color=color, label="mean over configurations")
+        axes.fill_between(
+            mean.index,
+            mean - deviation,
+            mean + deviation,
+            color=color,
+            alpha=0.2,
+            label="± standard deviation",
+        )
+        axes.set(xlabel="iteration", ylabel=f"{name} ratio, since the beginning", ylim=(0, None))
+        axes.legend(fontsize=8)
+        axes.grid(alpha=0.3)
+    return figure
+
+
+def evaluations(evaluation: pd.DataFrame, episodes: int, greedy: bool) -> Figure:
+    """Goal ratio and return at every checkpoint, on the uniform evaluation (Fig. 7)."""
+    figure = Figure((8, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.plot(evaluation.iteration, evaluation.goal_ratio, "o-", color=GOAL, markersize=4)
+    left.set(xlabel="iteration", ylabel="goal ratio", ylim=(0, 1.02))
+    right.plot(evaluation.iteration, evaluation.mean_return, "o-", color=PATH, markersize=4)
+    right.set(xlabel="iteration", ylabel="mean return")
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+        axes.set_title(f"{episodes} {'greedy' if greedy else 'sampled'} episodes, uniform draw", fontsize=9)
+    return figure

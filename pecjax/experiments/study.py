@@ -1,0 +1,129 @@
+"""A study: the host's loop over the slices of a grid."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from pecjax.agents.agent import Metrics
+from pecjax.experiments import tables
+from pecjax.experiments.assembly import load_world
+from pecjax.experiments.evaluation import Flights
+from pecjax.experiments.grid import Member, StudySettings
+from pecjax.experiments.measures import cvar
+from pecjax.experiments.plain_files import Row
+from pecjax.experiments.progress import Progress
+from pecjax.experiments.study_directory import StudyDirectory, Tables
+from pecjax.experiments.study_program import Program, make_program
+
+
+def run_study(settings: StudySettings, folder: Path) -> None:
+    """Makes every run of a study that its folder does not hold yet.
+
+    A slice is written when it is whole, and so a study that is stopped goes on with the slice it
+    was at; its tables end as if it had never stopped.
+
+    Raises:
+        InputError: anything the user can put right, such as a folder of another study.
+    """
+    settings.check()
+    worlds = {
+        name: load_world(dataclasses.replace(settings.run, coordinates=name)) for name in settings.coordinates
+    }
+    directory = StudyDirectory(folder)
+    lines = directory.open(settings, worlds, len(jax.devices()))
+    slices = settings.slices()
+    with Progress(sum(map(len, slices)) * settings.run.iterations) as progress:
+        for line in lines:
+            progress.say(line)
+        key, program = None, None
+        for number, members in enumerate(slices):
+            if directory.holds(number):
+                progress.skip(len(members) * settings.run.iterations)
+                continue
+            first = members[0]
+            if program is None or key != (first.coordinates, first.sampler, len(members)):
+                key = (first.coordinates, first.sampler, len(members))
+                _, scene, table = worlds[first.coordinates]
+                program = make_program(settings.settings_of(first), scene, table, len(members))
+            directory.write_slice(number, _train(settings, members, program, progress))
+            directory.gather()
+        directory.gather()
+
+
+def _train(
+    settings: StudySettings, members: tuple[Member, ...], program: Program, progress: Progress
+) -> Tables:
+    """Trains the runs of one slice from their beginning to their end."""
+    run = settings.run
+    seeds = np.array([member.seed for member in members], np.int32)
+    alphas = np.array([settings.settings_of(member).alpha for member in members], np.float32)
+    rows = [_Rows(settings, member, program.steps_per_iteration) for member in members]
+    states = program.init(seeds, alphas)
+    done = 0
+    while done < run.iterations:
+        begun = time.perf_counter()
+        number = min(run.evaluate_every, run.iterations - done)
+        # Only enqueued: the devices do not wait for the host between iterations.
+        enqueued = []
+        for _ in range(number):
+            states, metrics = program.iterate(states)
+            enqueued.append(metrics)
+        flights = program.evaluate(states.learner)
+        fetched, flights = jax.device_get((enqueued, flights))
+        for place, of_run in enumerate(rows):
+            for iteration, metrics in enumerate(fetched, done + 1):
+                of_run.add_metrics(iteration, _of_run(metrics, place))
+            of_run.add_evaluation(done + number, _of_run(flights, place))
+        done += number
+        steps = len(members) * number * program.steps_per_iteration
+        rate = steps / (time.perf_counter() - begun)
+        progress.advance(
+            len(members) * number,
+            f"goal ratio {flights.goal.mean():.3f}, {rate:,.0f} steps/s with evaluation",
+        )
+    return {name: [row for of_run in rows for row in of_run.tables[name]] for name in StudyDirectory.TABLES}
+
+
+def _of_run(tree: Any, place: int) -> Any:
+    return jax.tree.map(lambda leaf: leaf[place], tree)
+
+
+class _Rows:
+    """The rows of one run, as they come."""
+
+    def __init__(self, settings: StudySettings, member: Member, batch: int) -> None:
+        self._head: Row = {"study": settings.name} | member._asdict()
+        self._batch = batch
+        self._counts: Any = 0
+        self._since_evaluation: list[float] = []
+        self.tables: Tables = {name: [] for name in StudyDirectory.TABLES}
+
+    def add_metrics(self, iteration: int, metrics: Metrics) -> None:
+        row = tables.metrics_row(iteration, self._batch, 0.0, metrics)
+        kept = ("iteration", "env_steps", "goal_ratio", "episodes", "mean_return")
+        self.tables["metrics"].append(self._head | {name: row[name] for name in kept})
+        self._counts = self._counts + metrics.counts
+        self._since_evaluation.append(row["goal_ratio"])
+
+    def add_evaluation(self, iteration: int, flights: Flights) -> None:
+        num_configs = self._counts.shape[1]
+        row = tables.evaluation_row(iteration, iteration * self._batch, flights, num_configs)
+        ratios = np.array([row[f"c{config}"] for config in range(num_configs)])
+        ended = [ratio for ratio in self._since_evaluation if not np.isnan(ratio)]
+        self._since_evaluation.clear()
+        measures = {
+            "goal_ratio": row.pop("goal_ratio"),
+            "training_goal_ratio": float(np.mean(ended)) if ended else float("nan"),
+            "cvar": float(cvar(ratios)),
+        }
+        steps = {"iteration": row.pop("iteration"), "env_steps": row.pop("env_steps")}
+        self.tables["results"].append(self._head | steps | measures | row)
+        for config, (trials, failures) in enumerate(self._counts.T):
+            counts = {"config": config, "trials": trials, "failures": failures}
+            self.tables["configurations"].append(self._head | {"iteration": iteration} | counts)

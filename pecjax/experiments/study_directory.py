@@ -1,0 +1,175 @@
+"""Study directories: finished slices, each whole or absent, and the tables gathered from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cattrs
+
+from pecjax.errors import InputError
+from pecjax.experiments import plain_files
+from pecjax.experiments.grid import StudySettings
+from pecjax.experiments.provenance import environment_facts
+from pecjax.world.coordinates import Configurations, load_coordinates
+from pecjax.world.scene import Scene
+
+World = tuple[Path, Scene, Configurations]  # of one set of coordinates
+Tables = dict[str, list[plain_files.Row]]  # rows by the name of their table
+_SUMS = "SHA256SUMS"
+
+
+class StudyDirectory:
+    """One study's folder: `study.json`, the world it flies in, `slices/`, and the tables.
+
+    The tables are `results.csv` (a row an evaluation), `metrics.csv` (a row an iteration) and
+    `configurations.csv` (trials and failures of each configuration so far, at every evaluation).
+    """
+
+    TABLES = ("results", "metrics", "configurations")
+
+    def __init__(self, folder: Path) -> None:
+        """Names the folder; nothing is read or written yet."""
+        self.folder = folder
+        self.scene_path = folder / "scene.xml"
+        self._slices = folder / "slices"
+
+    def settings(self) -> StudySettings:
+        """Reads the settings back.
+
+        Raises:
+            InputError: the folder holds no study, or one that this version cannot read.
+        """
+        path = self.folder / "study.json"
+        if not path.is_file():
+            raise InputError(f"{self.folder}: no study here (study.json is missing); give a study's folder")
+        try:
+            return cattrs.structure(json.loads(path.read_text())["settings"], StudySettings)
+        except (ValueError, KeyError, TypeError, cattrs.BaseValidationError) as error:
+            raise InputError(
+                f"{path}: cannot be read as a study's settings ({error}); give another folder"
+            ) from error
+
+    def table(self, coordinates: str) -> Configurations:
+        """Reads the configurations of one of the study's sets back."""
+        return load_coordinates(self._coordinates_path(coordinates))
+
+    def _coordinates_path(self, coordinates: str) -> Path:
+        return self.folder / f"coordinates-{Path(coordinates).stem}.csv"
+
+    def open(self, settings: StudySettings, worlds: dict[str, World], num_devices: int) -> list[str]:
+        """Begins a study, or makes sure that the folder holds this very one.
+
+        Returns:
+            lines that say what was found, and what of it has to be made again.
+
+        Raises:
+            InputError: the folder holds something else (another study, or this one begun with other
+                settings, another map or other versions), or cannot be written.
+        """
+        content = {"settings": dataclasses.asdict(settings)} | environment_facts(num_devices)
+        files = {"scene.xml": plain_files.scene_text(next(iter(worlds.values()))[0])}
+        for coordinates, (_, _, table) in worlds.items():
+            files[self._coordinates_path(coordinates).name] = plain_files.coordinates_text(table)
+        if not (self.folder / "study.json").is_file():
+            plain_files.check_free(self.folder)
+            self._create(content, files)
+            return [f"{self.folder}: {len(settings.slices())} slices of {settings.at_once} runs at most"]
+        self._compare(json.loads(plain_files.json_text(content)), files)
+        return list(self._verify(len(settings.slices())))
+
+    def _create(self, content: dict[str, Any], files: dict[str, str]) -> None:
+        try:
+            self._slices.mkdir(parents=True, exist_ok=True)
+            for name, text in files.items():
+                (self.folder / name).write_text(text)
+            plain_files.replace_file(self.folder / "study.json", plain_files.json_text(content))
+        except OSError as error:
+            raise InputError(
+                f"{self.folder}: cannot be written ({error.strerror}); choose another --out"
+            ) from error
+
+    def _compare(self, content: dict[str, Any], files: dict[str, str]) -> None:
+        self.settings()
+        held = json.loads((self.folder / "study.json").read_text())
+        differing = [
+            f"{name} ({before!r} there, {now!r} here)"
+            for part in ("settings", "versions")
+            for name, before, now in _differences(held.get(part), content[part], "")
+        ]
+        for name, text in files.items():
+            path = self.folder / name
+            if not path.is_file() or path.read_text() != text:
+                differing.append(f"the content of {name}")
+        if differing:
+            raise InputError(
+                f"{self.folder}: holds a study that differs in {', '.join(differing)}; "
+                "give another folder with --out"
+            )
+
+    def _verify(self, number: int) -> Iterator[str]:
+        """Removes slices that are not what was written, and counts the rest."""
+        self._slices.mkdir(exist_ok=True)
+        for left_over in self._slices.glob(".*"):  # written when the study was stopped
+            shutil.rmtree(left_over)
+        for path in sorted(self._slices.iterdir()):
+            if not _is_whole(path):
+                shutil.rmtree(path)
+                yield f"{path}: not as it was written; made again"
+        there = sum(self.holds(n) for n in range(number))
+        yield f"{self.folder}: goes on; {there} of {number} slices are there"
+
+    def holds(self, number: int) -> bool:
+        """Whether that slice is finished."""
+        return self._slice_path(number).is_dir()
+
+    def _slice_path(self, number: int) -> Path:
+        return self._slices / f"{number:04}"
+
+    def write_slice(self, number: int, tables: Tables) -> None:
+        """Writes a finished slice, whole or not at all."""
+        new = self._slices / f".{number:04}"
+        new.mkdir()
+        sums = []
+        for name in self.TABLES:
+            text = plain_files.csv_text(tables[name])
+            (new / f"{name}.csv").write_text(text)
+            sums.append(f"{hashlib.sha256(text.encode()).hexdigest()}  {name}.csv\n")
+        (new / _SUMS).write_text("".join(sums))
+        os.replace(new, self._slice_path(number))
+
+    def gather(self) -> None:
+        """Writes the tables anew from all slices there are, in their order."""
+        slices = sorted(path for path in self._slices.iterdir() if not path.name.startswith("."))
+        for name in self.TABLES:
+            texts = [(path / f"{name}.csv").read_text().split("\n", 1) for path in slices]
+            # Coordinate sets of several sizes have as many columns: the longest header serves all.
+            header = max((head for head, _ in texts), key=len, default="")
+            rows = "".join(rows for _, rows in texts)
+            plain_files.replace_file(self.folder / f"{name}.csv", f"{header}\n{rows}")
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a slice's files are those that its checksums were taken of."""
+    try:
+        lines = (path / _SUMS).read_text().splitlines()
+        sums = {name: digest for digest, name in (line.split("  ") for line in lines)}
+        found = {name: hashlib.sha256((path / name).read_bytes()).hexdigest() for name in sums}
+    except (OSError, ValueError):
+        return False
+    return found == sums and set(sums) == {f"{name}.csv" for name in StudyDirectory.TABLES}
+
+
+def _differences(before: Any, now: Any, name: str) -> Iterator[tuple[str, Any, Any]]:
+    """Where two JSON values differ: name, value before, value now."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in before | now:
+            yield from _differences(before.get(key), now.get(key), f"{name}.{key}".lstrip("."))
+    elif before != now:
+        yield name, before, now

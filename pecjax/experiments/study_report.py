@@ -1,0 +1,152 @@
+"""The report of a study: its measures by condition, and the paired differences between conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from pecjax.experiments import plain_files
+from pecjax.experiments.drawing import read_table
+from pecjax.experiments.measures import (
+    Interval,
+    area_under_curve,
+    interval,
+    paired_difference,
+    steps_to_exit,
+    steps_until,
+)
+
+THRESHOLDS = (0.9, 0.95)
+BASELINE = "uniform"  # what others are paired with; the study's first condition where it is not there
+RATIOS = ("goal_ratio", "cvar", "area_under_curve")
+STEPS = tuple(f"{what}_{at:g}" for at in THRESHOLDS for what in ("steps_until", "exit_at"))
+_COLUMNS = {
+    "results": {"seed", "iteration", "env_steps", "goal_ratio", "cvar", "mean_return"},
+    "metrics": {"seed", "iteration", "env_steps"},
+    "configurations": {"seed", "iteration", "config", "trials", "failures"},
+}
+
+
+class StudyTables(NamedTuple):
+    """A study's tables, each with a column `condition`: sampler and α in words."""
+
+    results: pd.DataFrame
+    metrics: pd.DataFrame
+    configurations: pd.DataFrame
+
+
+def read_study(folder: Path) -> StudyTables:
+    """Reads the tables that a study has gathered so far.
+
+    Raises:
+        InputError: there are none.
+    """
+    found = {name: read_table(folder / f"{name}.csv", columns) for name, columns in _COLUMNS.items()}
+    for table in found.values():
+        table["coordinates"] = table.coordinates.astype(str)
+        pairs = zip(table.sampler, table.alpha, strict=True)
+        table["condition"] = [s if np.isnan(alpha) else f"{s}, α = {alpha:g}" for s, alpha in pairs]
+    return StudyTables(**found)
+
+
+def by_run(tables: StudyTables) -> pd.DataFrame:
+    """One row a run: how it ended, and how soon it came to the thresholds.
+
+    Columns: `goal_ratio` and `cvar` of the last evaluation, `area_under_curve` of the goal ratio,
+    `steps_until_0.9` (environment steps at the first of five evaluations in a row that hold it) and
+    `exit_at_0.9` (at the fifth iteration in a row whose training goal ratio holds it: the paper's
+    exit condition); inf where it was not reached.
+    """
+    keys = ["coordinates", "condition", "seed"]
+    trainings = tables.metrics.groupby(keys, sort=False)
+    rows = []
+    for key, run in tables.results.groupby(keys, sort=False):
+        training = trainings.get_group(key)
+        steps, ratios = run.env_steps.to_numpy(), run.goal_ratio.to_numpy()
+        row = run[keys].iloc[0].to_dict() | {
+            "goal_ratio": ratios[-1],
+            "cvar": run.cvar.iloc[-1],
+            "area_under_curve": area_under_curve(steps, ratios),
+        }
+        for at in THRESHOLDS:
+            row[f"steps_until_{at:g}"] = steps_until(steps, ratios, at)
+            row[f"exit_at_{at:g}"] = steps_to_exit(
+                training.env_steps.to_numpy(), training.goal_ratio.to_numpy(), at
+            )
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def summary(runs: pd.DataFrame) -> Iterator[plain_files.Row]:
+    """One row a condition: interquartile means with intervals, medians and ranges of steps."""
+    keys = ["coordinates", "condition"]
+    for _, rows in runs.groupby(keys, sort=False):
+        row = rows[keys].iloc[0].to_dict() | {"seeds": len(rows)}
+        for name in RATIOS:
+            row |= _columns(name, interval(rows[name].to_numpy()))
+        for name in STEPS:
+            row[f"{name}_reached"] = int(np.isfinite(rows[name]).sum())
+            spread = rows[name].agg(["median", "min", "max"])
+            row |= {f"{name}_{which}": figure for which, figure in spread.items()}
+        yield row
+
+
+def paired(runs: pd.DataFrame) -> Iterator[plain_files.Row]:
+    """One row a condition and measure: differences from the baseline, seed by seed."""
+    for coordinates, rows in runs.groupby("coordinates", sort=False):
+        table = rows.pivot(index="seed", columns="condition", values=[*RATIOS, *STEPS])
+        there = list(dict.fromkeys(rows.condition))
+        baseline = BASELINE if BASELINE in there else there[0]
+        for condition in there:
+            if condition == baseline:
+                continue
+            for name in (*RATIOS, *STEPS):
+                pairs = table[name][[condition, baseline]].dropna()
+                ours, theirs = pairs[condition].to_numpy(float), pairs[baseline].to_numpy(float)
+                better = ours > theirs if name in RATIOS else ours < theirs
+                equal = ours == theirs
+                both = np.isfinite(ours) & np.isfinite(theirs)
+                head = {"coordinates": coordinates, "condition": condition, "baseline": baseline}
+                counts = {
+                    "better": int(better.sum()),
+                    "equal": int(equal.sum()),
+                    "worse": int((~better & ~equal).sum()),
+                    "pairs": int(both.sum()),
+                }
+                known = both.any()
+                found = (
+                    paired_difference(ours[both], theirs[both]) if known else Interval(*[float("nan")] * 3)
+                )
+                yield head | {"measure": name} | counts | _columns("difference", found)
+
+
+def _columns(name: str, found: Interval) -> dict[str, float]:
+    return {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
+
+
+def write_report(folder: Path) -> str:
+    """Writes `runs.csv`, `summary.csv` and `paired.csv`; returns them in words.
+
+    Raises:
+        InputError: the study has gathered no tables.
+    """
+    runs = by_run(read_study(folder))
+    summaries, differences = list(summary(runs)), list(paired(runs))
+    for name, rows in (("runs", runs.to_dict("records")), ("summary", summaries), ("paired", differences)):
+        plain_files.replace_file(folder / f"{name}.csv", plain_files.csv_text(rows))
+    lines = [
+        f"set {row['coordinates']}, {row['condition']}, {row['seeds']} seeds: goal ratio "
+        f"{row['goal_ratio']:.3f} [{row['goal_ratio_low']:.3f}, {row['goal_ratio_high']:.3f}], worst tenth "
+        f"{row['cvar']:.3f} [{row['cvar_low']:.3f}, {row['cvar_high']:.3f}]; 0.9 held from "
+        f"{_millions(row['steps_until_0.9_median'])}, 0.95 from {_millions(row['steps_until_0.95_median'])}"
+        for row in summaries
+    ]
+    return "\n".join(lines)
+
+
+def _millions(steps: float) -> str:
+    return f"{steps / 1e6:.2f} M steps" if np.isfinite(steps) else "never"

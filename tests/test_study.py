@@ -1,0 +1,282 @@
+"""Studies: what a grid is cut into, that its runs are true ones, and that stopping loses nothing."""
+
+import hashlib
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pecjax
+from pecjax.agents.networks import NetworkSettings
+from pecjax.experiments import study_directory, study_figures, study_report, training
+from pecjax.experiments.grid import Member, StudySettings
+from pecjax.experiments.presets import PRESETS
+from pecjax.experiments.studies import SCALES, STUDIES, find_study
+from pecjax.experiments.study import run_study
+from pecjax.experiments.study_directory import StudyDirectory
+
+FAST = PRESETS["fast"]
+TINY = replace(
+    FAST,
+    ppo=replace(FAST.ppo, num_envs=8, num_steps=64, num_minibatches=2, network=NetworkSettings(hidden=(8,))),
+    iterations=3,
+    evaluate_every=2,
+    evaluation_episodes=7,
+)
+TABLES = ("results", "metrics", "configurations")
+
+
+@pytest.fixture(scope="module")
+def near_goals(folders):
+    """Three pairs so near that some episodes succeed."""
+    path = folders / "near.csv"
+    path.write_text("0 -2 0.7 -2\n5 -2.4 5 -3.2\n-5 -2 -5 -1.2\n")
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def settings(near_goals):
+    run = replace(TINY, coordinates=near_goals)
+    return StudySettings("tiny", run, alphas=(0.0, 3.0), coordinates=(near_goals,), seeds=(4, 7))
+
+
+@pytest.fixture(scope="module")
+def study(folders, settings):
+    run_study(settings, folders / "study")
+    return folders / "study"
+
+
+def digests(folder):
+    return {name: hashlib.sha256((folder / f"{name}.csv").read_bytes()).hexdigest() for name in TABLES}
+
+
+@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize("scale", SCALES)
+def test_the_papers_studies_can_be_run_and_cover_their_grids(name, scale):
+    study = find_study(name, scale)
+    study.check()
+    assert study.name == name
+    flown = [member for part in study.slices() for member in part]
+    assert len(flown) == len(set(flown)) == sum(map(len, study.groups()))
+    for part in study.slices():
+        assert 1 <= len(part) <= study.at_once
+        assert len({(member.coordinates, member.sampler) for member in part}) == 1
+    # Whatever is finished first can be paired: low seeds come first.
+    firsts = [part[0].seed for part in study.slices()]
+    assert firsts == sorted(firsts)
+
+
+def test_the_grid_of_each_of_the_papers_studies():
+    fig4, fig8 = find_study("fig4"), find_study("fig8")
+    assert set(fig4.samplers) == set(fig8.samplers) == {"pec", "uniform"}
+    assert (fig4.coordinates, fig8.coordinates) == (("1",), ("2",))
+    assert len(fig4.seeds) >= 10 and len(fig8.seeds) >= 10
+    fig11 = find_study("fig11")
+    assert fig11.alphas == (0.0, 0.1, 0.2, 0.3, 0.4) and len(fig11.groups()[0]) == 25
+    assert find_study("fig14").run.algorithm == "apex" and len(find_study("fig14").seeds) >= 5
+    paper = {name: find_study(name, "paper").run for name in STUDIES}
+    assert [run.iterations for run in paper.values()] == [1500, 5000, 1500, 2000]
+    assert [run.preset for run in paper.values()] == ["rllib085"] * 3 + ["apex-rllib085"]
+
+
+def test_alpha_is_of_samplers_that_have_one(settings):
+    groups = settings.groups()
+    assert [member.alpha for member in groups[0]] == [0.0, 3.0, 0.0, 3.0]
+    assert [member.alpha for member in groups[1]] == [None, None]
+    assert settings.settings_of(Member("2", "pec", 3.0, 7)) == replace(
+        settings.run, coordinates="2", alpha=3.0, seed=7
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"seeds": ()}, "seeds is empty"),
+        ({"alphas": ()}, "alphas is empty"),
+        ({"samplers": ("bandit",)}, "unknown sampler 'bandit'"),
+        ({"alphas": (0.1, -1.0)}, "alpha is -1"),
+        ({"seeds": (3, 1, 3)}, "seeds names 3 more than once"),
+        ({"seeds": (-3,)}, "seed is -3"),
+        ({"at_once": 0}, "at-once is 0"),
+        ({"run": replace(TINY, until_goal_ratio=0.9)}, "until-goal-ratio"),
+    ],
+)
+def test_grids_that_cannot_be_run(changes, words, settings, tmp_path):
+    with pytest.raises(pecjax.InputError, match=words):
+        run_study(replace(settings, **changes), tmp_path / "study")
+    assert not (tmp_path / "study").exists()
+
+
+def test_its_tables_have_a_row_for_everything(study, settings):
+    results, metrics, configurations = (pd.read_csv(study / f"{name}.csv") for name in TABLES)
+    assert len(metrics) == 6 * 3 and len(results) == 6 * 2 and len(configurations) == 6 * 2 * 3
+    assert list(results.columns[:7]) == list(metrics.columns[:7])
+    assert list(results.columns[7:]) == [
+        "goal_ratio",
+        "training_goal_ratio",
+        "cvar",
+        "mean_return",
+        "c0",
+        "c1",
+        "c2",
+    ]
+    assert sorted(set(results.iteration)) == [2, 3] and (results.env_steps == results.iteration * 512).all()
+    runs = metrics.fillna({"alpha": -1}).groupby(["sampler", "alpha", "seed"])
+    assert sorted(runs.groups) == sorted(
+        [("pec", a, s) for a in (0.0, 3.0) for s in (4, 7)] + [("uniform", -1, 4), ("uniform", -1, 7)]
+    )
+    for _, run in runs:
+        assert run.iteration.tolist() == [1, 2, 3]
+    worst = results[["c0", "c1", "c2"]].min(axis=1)
+    np.testing.assert_allclose(results.cvar, worst, rtol=1e-6)
+    ended = configurations[configurations.iteration == 3].groupby(["sampler", "seed"]).trials.sum()
+    np.testing.assert_array_equal(ended, metrics.groupby(["sampler", "seed"]).episodes.sum())
+
+
+@pytest.mark.parametrize(("sampler", "alpha", "seed"), [("pec", 3.0, 7), ("uniform", None, 4)])
+def test_a_run_of_a_study_is_the_run_that_train_would_make(sampler, alpha, seed, study, settings, folders):
+    alone = settings.settings_of(Member(settings.run.coordinates, sampler, alpha, seed))
+    folder = folders / f"alone-{sampler}"
+    training.train(alone, folder, devices=1)
+    for name, table in (("metrics", "metrics"), ("results", "evaluation"), ("configurations",) * 2):
+        rows = pd.read_csv(study / f"{name}.csv").fillna({"alpha": -1})
+        rows = rows[(rows.sampler == sampler) & (rows.alpha == (alpha or -1)) & (rows.seed == seed)]
+        wanted = pd.read_csv(folder / f"{table}.csv")
+        rows, wanted = (
+            rows[rows.iteration.isin(wanted.iteration)],
+            wanted[wanted.iteration.isin(rows.iteration)],
+        )
+        both = [column for column in rows.columns if column in wanted.columns]
+        assert len(both) >= 4 and rows.iteration.iloc[-1] == 3
+        np.testing.assert_allclose(rows[both], wanted[both], rtol=1e-5, err_msg=name)
+
+
+def test_the_same_seed_begins_alike_under_every_sampler(study):
+    first = pd.read_csv(study / "metrics.csv").query("iteration == 1")
+    for _, runs in first.groupby("seed"):
+        assert len(runs) == 3
+        assert (runs[["goal_ratio", "episodes", "mean_return"]].nunique() == 1).all()
+    assert first.mean_return.nunique() == 2  # and differently under another seed
+
+
+class StoppedError(Exception):
+    """Stands for whatever kills a study."""
+
+
+@pytest.mark.parametrize("finished", [0, 1, 2])
+def test_a_study_that_was_stopped_ends_byte_for_byte_the_same(
+    finished, study, settings, tmp_path, monkeypatch, capsys
+):
+    folder = tmp_path / "study"
+    write = StudyDirectory.write_slice
+
+    def stop(self, number, tables):
+        if number == finished:
+            (self.folder / "slices" / f".{number:04}").mkdir()  # as a kill in the middle would leave it
+            raise StoppedError
+        write(self, number, tables)
+
+    monkeypatch.setattr(StudyDirectory, "write_slice", stop)
+    with pytest.raises(StoppedError):
+        run_study(settings, folder)
+    monkeypatch.setattr(StudyDirectory, "write_slice", write)
+    there = sorted((folder / "slices").glob("0*/results.csv"))
+    assert len(there) == finished
+    before = [path.stat().st_mtime_ns for path in there]
+    capsys.readouterr()
+    run_study(settings, folder)
+    assert f"{finished} of 3 slices are there" in capsys.readouterr().err
+    assert digests(folder) == digests(study)
+    assert [path.stat().st_mtime_ns for path in there] == before  # what was finished was not repeated
+
+
+def test_a_finished_study_only_gathers(study, settings, monkeypatch):
+    monkeypatch.setattr("pecjax.experiments.study.make_program", None)
+    before = digests(study)
+    (study / "results.csv").unlink()
+    run_study(settings, study)
+    assert digests(study) == before
+
+
+@pytest.mark.parametrize("damage", ["a changed figure", "cut short", "a lost table", "no checksums"])
+def test_a_damaged_slice_is_found_said_and_made_again(damage, study, settings, tmp_path, capsys):
+    folder = tmp_path / "study"
+    shutil.copytree(study, folder)
+    path = folder / "slices" / "0001" / "results.csv"
+    text = path.read_text()
+    if damage == "a changed figure":
+        path.write_text(text.replace("1024", "1023", 1))
+    elif damage == "cut short":
+        path.write_text(text[: len(text) // 2])
+    elif damage == "a lost table":
+        path.unlink()
+    else:
+        (path.parent / "SHA256SUMS").write_text("")
+    run_study(settings, folder)
+    err = capsys.readouterr().err
+    assert "0001: not as it was written; made again" in err and "2 of 3 slices are there" in err
+    assert digests(folder) == digests(study)
+
+
+def test_another_studys_folder_is_refused_and_the_difference_named(study, settings, monkeypatch, near_goals):
+    before = digests(study)
+
+    def refusal(**changes):
+        with pytest.raises(pecjax.InputError) as error:
+            run_study(replace(settings, **changes), study)
+        assert digests(study) == before
+        return str(error.value)
+
+    assert "seeds ([4, 7] there, [4] here)" in refusal(seeds=(4,))
+    assert "run.ppo.learning_rate (0.0003 there, 0.001 here)" in refusal(
+        run=replace(settings.run, ppo=replace(settings.run.ppo, learning_rate=1e-3))
+    )
+    versions = study_directory.environment_facts(1)
+    versions["versions"]["jax"] = "0.1"
+    monkeypatch.setattr(study_directory, "environment_facts", lambda _: versions)
+    assert "jax" in refusal()
+    monkeypatch.undo()
+    with open(near_goals, "a") as file:
+        file.write("0 0 1 0\n")
+    assert "the content of coordinates-near.csv" in refusal()
+    with open(near_goals, "w") as file:
+        file.write("0 -2 0.7 -2\n5 -2.4 5 -3.2\n-5 -2 -5 -1.2\n")
+
+
+def test_the_folder_of_a_run_is_no_place_for_a_study(settings, tmp_path):
+    (tmp_path / "config.json").write_text("{}")
+    with pytest.raises(pecjax.InputError, match="holds another run"):
+        run_study(settings, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["config.json"]
+
+
+def test_the_report_is_of_the_tables(study):
+    words = study_report.write_report(study)
+    assert len(words.splitlines()) == 3
+    results = pd.read_csv(study / "results.csv").query("iteration == 3")
+    summary = pd.read_csv(study / "summary.csv").set_index("condition")
+    assert list(summary.index) == ["pec, α = 0", "pec, α = 3", "uniform"]
+    uniform = results[results.sampler == "uniform"]
+    assert summary.goal_ratio["uniform"] == pytest.approx(uniform.goal_ratio.mean())
+    assert summary.seeds.tolist() == [2, 2, 2]
+    paired = pd.read_csv(study / "paired.csv").set_index(["condition", "measure"])
+    pec = results[results.alpha == 3].set_index("seed").goal_ratio
+    found = paired.loc[("pec, α = 3", "goal_ratio")]
+    difference = pec - uniform.set_index("seed").goal_ratio
+    assert found.difference == pytest.approx(difference.mean(), abs=1e-6)
+    assert found.better == (difference > 0).sum() and found.worse == (difference < 0).sum()
+    # Nothing this short holds a threshold: no figure is made up for it.
+    never = paired.loc[("pec, α = 3", "steps_until_0.95")]
+    assert never.pairs == 0 and np.isnan(never.difference)
+
+
+def test_every_figure_of_a_study_is_drawn(study):
+    paths = study_figures.draw_study(study)
+    names = {path.stem for path in paths}
+    assert names == {
+        *("goal_ratio", "evaluation", "spread", "exit", "steps_to_threshold", "map", "alpha"),
+        *("configurations-pec-0", "configurations-pec-3", "configurations-uniform"),
+    }
+    assert {path.suffix for path in paths} == {".png", ".svg"} and all(path.is_file() for path in paths)
