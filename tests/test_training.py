@@ -17,6 +17,7 @@ from pecjax.experiments.checkpoint import Checkpoints
 from pecjax.experiments.evaluation import goal_ratios
 from pecjax.experiments.presets import PRESETS
 from pecjax.experiments.run_directory import RunDirectory
+from pecjax.experiments.trained import open_run
 from pecjax.world.scene import load_scene
 
 FAST = PRESETS["fast"]
@@ -247,8 +248,7 @@ def test_a_run_of_apex_leaves_the_same_files_and_its_policy_can_be_had(folders, 
     assert run_figures.draw_run(folder)
     directory = RunDirectory(folder)
     assert directory.settings() == settings
-    again = assembly.build(settings, load_scene(directory.scene_path), directory.table(), num_devices=2)
-    iteration, learner = Checkpoints(folder).load_learner(assembly.abstract_learner(again))
+    _, again, iteration, learner = open_run(folder)
     flights = assembly.compile_evaluator(again, settings, learner)(learner)
     assert iteration == 3 and flights.goal.mean() == summary["uniform_evaluation"]["goal_ratio"]
 

@@ -10,10 +10,8 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from pecjax.experiments import assembly, devices, evaluation, presets
-from pecjax.experiments.checkpoint import Checkpoints
+from pecjax.experiments import assembly, evaluation, presets, trained
 from pecjax.experiments.run_directory import RunDirectory
-from pecjax.world.scene import load_scene
 
 
 @dataclass(frozen=True)
@@ -38,19 +36,14 @@ class Eval:
 
     def run(self) -> None:
         """Flies and reports."""
-        directory = RunDirectory(self.folder)
         settings = dataclasses.replace(
-            directory.settings(),
+            RunDirectory(self.folder).settings(),
             evaluation_episodes=self.episodes,
             evaluation_seed=self.seed,
             greedy=not self.sampled,
         )
         presets.check_settings(settings)
-        num_devices = devices.choose_num_devices(None, settings.learner.shares)
-        scene = load_scene(directory.scene_path, settings.resolution)
-        run = assembly.build(settings, scene, directory.table(), num_devices)
-        like = assembly.abstract_learner(run)
-        iteration, learner = Checkpoints(self.folder).load_learner(like, self.checkpoint)
+        _, run, iteration, learner = trained.open_run(self.folder, self.checkpoint)
         flights = assembly.compile_evaluator(run, settings, learner)(learner)
         ratios = evaluation.goal_ratios(flights, run.table.size)
         report = {
