@@ -16,7 +16,7 @@ from pecjax.commands.evaluate import Eval
 from pecjax.commands.figures import Figures
 from pecjax.commands.study import Study
 from pecjax.commands.train import Train
-from pecjax.errors import InputError
+from pecjax.errors import DivergedError, InputError, StoppedError
 from pecjax.experiments import devices
 
 Command = (
@@ -55,6 +55,12 @@ def main(args: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"pecjax: {error}", file=sys.stderr)
         return 2
+    except DivergedError as error:
+        print(f"pecjax: {error}", file=sys.stderr)
+        return 1
+    except StoppedError as stop:
+        print(f"pecjax: {stop}", file=sys.stderr)
+        return 128 + stop.signal
     except KeyboardInterrupt:
         print("pecjax: interrupted", file=sys.stderr)
         return 130

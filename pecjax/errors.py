@@ -1,4 +1,8 @@
-"""The one error that means the user can put it right."""
+"""The errors that are no faults of ours."""
+
+import signal
+
+MAX_LENGTH = 1000
 
 
 class InputError(ValueError):
@@ -7,3 +11,25 @@ class InputError(ValueError):
     The message is one line that says what is wrong, where, and what to do. The command line
     prints it as it stands and exits with code 2; every other exception is a fault of ours.
     """
+
+    def __init__(self, message: str) -> None:
+        """Whatever a library put into the message, it stays one line of bounded length."""
+        line = " ".join(message.split())
+        super().__init__(line if len(line) <= MAX_LENGTH else line[: MAX_LENGTH - 1] + "…")
+
+
+class StoppedError(KeyboardInterrupt):
+    """A training was asked to stop, and has kept all that it needs to go on.
+
+    Attributes:
+        signal: what asked it: SIGINT (Ctrl-C) or SIGTERM.
+    """
+
+    def __init__(self, message: str, signal: signal.Signals) -> None:
+        """The message is one line that says how to go on."""
+        super().__init__(message)
+        self.signal = signal
+
+
+class DivergedError(ArithmeticError):
+    """A loss, the parameters or the physics are no longer finite; the message says which and when."""

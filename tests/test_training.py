@@ -127,7 +127,7 @@ def test_a_checkpoint_flies_the_evaluation_that_was_written_down(run, tables):
     folder, _ = run
     directory = RunDirectory(folder)
     again = assembly.build(TINY, load_scene(directory.scene_path), directory.table(), num_devices=2)
-    like = assembly.abstract_learner(again)
+    like = assembly.abstract_state(again).learner
     checkpoints = Checkpoints(folder)
     assert checkpoints.iterations() == [2, 4, 5]
     fly = assembly.compile_evaluator(again, TINY, like)
@@ -192,7 +192,8 @@ def test_a_map_with_files_of_its_own_is_kept_whole_or_refused(tmp_path, edited_r
     path = path.rename(path.parent / "meshes" / "rooms.xml")
     (path.parent / "m.obj").write_text(TETRAHEDRON)
     # Everything up to the first iteration is what this is about.
-    monkeypatch.setattr(training, "_loop", lambda settings, run, *_: {"walls": run.env.scene.wall_names})
+    monkeypatch.setattr(training, "_begin", lambda session: (None, None))
+    monkeypatch.setattr(training, "loop", lambda session, *_: {"walls": session.run.env.scene.wall_names})
     try:
         assert len(training.train(replace(TINY, scene=str(path)), tmp_path / "run")["walls"]) == 14
     except pecjax.InputError:
@@ -227,7 +228,7 @@ def near_goals(folders):
 def test_every_learner_is_kept_and_of_the_rest_the_newest_two(run):
     folder, _ = run
     assert Checkpoints(folder).iterations() == [2, 4, 5]
-    assert sorted(path.name for path in (folder / "states").iterdir()) == ["4", "5"]
+    assert sorted(path.name for path in (folder / "states").iterdir()) == ["4.npz", "5.npz"]
 
 
 def test_a_run_of_apex_leaves_the_same_files_and_its_policy_can_be_had(folders, near_goals, capsys):

@@ -42,6 +42,8 @@ class Metrics(NamedTuple):
         watched: (2,) int32, trials and failures that its goal ratio is of: all, or those of the
             actors that explore least.
         return_sum, length_sum: over the episodes that ended.
+        unstable: () int32, episodes that ended since their physics blew up; collisions all.
+        finite: by name, whether each of the losses, the parameters and the physics are finite.
         losses: the learner's own figures by name.
     """
 
@@ -49,6 +51,8 @@ class Metrics(NamedTuple):
     watched: jax.Array
     return_sum: jax.Array
     length_sum: jax.Array
+    unstable: jax.Array
+    finite: dict[str, jax.Array]
     losses: dict[str, jax.Array]
 
 
@@ -72,8 +76,22 @@ class Agent(NamedTuple):
     replay_bytes: int = 0
 
 
+def are_finite(parts: dict[str, Any], axis_name: str | None) -> dict[str, jax.Array]:
+    """For every part, whether all its numbers, on all devices, are finite."""
+
+    def of_part(part: Any) -> jax.Array:
+        leaves = [leaf for leaf in jax.tree.leaves(part) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+        return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
+
+    finite = {name: of_part(part) for name, part in parts.items()}
+    if axis_name is None:
+        return finite
+    return jax.tree.map(lambda yes: yes > 0, jax.lax.pmin(jax.tree.map(jnp.int32, finite), axis_name))
+
+
 def summarize(
     episodes: Episodes,
+    finite: dict[str, jax.Array],
     losses: dict[str, jax.Array],
     num_configs: int,
     axis_name: str | None,
@@ -87,10 +105,12 @@ def summarize(
     done, failed = episodes.outcomes.done, episodes.outcomes.failed
     seen = jnp.stack([jnp.sum(done & watched), jnp.sum(done & failed & watched)])
     return_sum, length_sum = jnp.sum(done * episodes.returns), jnp.sum(done * episodes.lengths)
+    unstable = jnp.sum(done & episodes.unstable)
     if axis_name is not None:
-        seen, return_sum, length_sum = jax.lax.psum((seen, return_sum, length_sum), axis_name)
+        sums = (seen, return_sum, length_sum, unstable)
+        seen, return_sum, length_sum, unstable = jax.lax.psum(sums, axis_name)
     counts = tally(episodes.outcomes, num_configs, axis_name)
-    return Metrics(counts, seen, return_sum, length_sum, losses)
+    return Metrics(counts, seen, return_sum, length_sum, unstable, finite, losses)
 
 
 def device_mean(tree: Any, axis_name: str | None) -> Any:
@@ -106,14 +126,20 @@ def fleet_mesh(num_devices: int) -> Mesh:
     return Mesh(np.array(jax.devices()[:num_devices]), (AXIS,))
 
 
+def placement(mesh: Mesh) -> TrainState:
+    """Where each part of a TrainState lives: the fleet is spread over the mesh, the rest is everywhere."""
+    everywhere, spread = NamedSharding(mesh, PartitionSpec()), NamedSharding(mesh, PartitionSpec(AXIS))
+    return TrainState(learner=everywhere, sampler=everywhere, fleet=spread, key=everywhere)
+
+
 def shard(agent: Agent, mesh: Mesh) -> Agent:
     """Spreads an agent's environments over the mesh.
 
     The agent must have been made with `axis_name=AXIS`. What it draws and flies does not depend on
     the number of devices, but for the rounding of sums.
     """
-    specs = TrainState(PartitionSpec(), PartitionSpec(), PartitionSpec(AXIS), PartitionSpec())
-    placement = TrainState(*(NamedSharding(mesh, spec) for spec in specs))
+    places = placement(mesh)
+    specs = TrainState(*(place.spec for place in places))
     # Without varying-axes checks the gradient of replicated parameters stays each device's own,
     # and the learner takes the mean over devices itself.
     iterate = jax.shard_map(
@@ -123,5 +149,4 @@ def shard(agent: Agent, mesh: Mesh) -> Agent:
         out_specs=(specs, PartitionSpec()),
         check_vma=False,
     )
-
-    return agent._replace(init=jax.jit(agent.init, out_shardings=placement), iterate=iterate)
+    return agent._replace(init=jax.jit(agent.init, out_shardings=places), iterate=iterate)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from pecjax.agents import replay
-from pecjax.agents.agent import Agent, Metrics, TrainState, summarize
+from pecjax.agents.agent import Agent, Metrics, TrainState, are_finite, summarize
 from pecjax.agents.apex_update import ApexSettings, Learner, double_value, make_optimizer, update
 from pecjax.agents.networks import encode
 from pecjax.agents.q_network import QNetwork, action_values
@@ -17,7 +17,7 @@ from pecjax.agents.returns import n_step_return
 from pecjax.agents.rollout import Episodes, Fleet, Trajectory, global_ids, launch, rollout
 from pecjax.curriculum.sampler import Sampler
 from pecjax.world.coordinates import Configurations
-from pecjax.world.navigation import RoomsNavigation, observation
+from pecjax.world.navigation import RoomsNavigation, drone_state, observation
 
 
 class Recent(NamedTuple):
@@ -161,7 +161,8 @@ def make(
         # RLlib 0.8.5 reports the last third of its actors, rounded up (`agents/dqn/apex.py`).
         watched = env_ids % settings.num_actors >= settings.num_actors + (-settings.num_actors // 3)
         sampler_state = sampler.update(state.sampler, episodes.outcomes, axis_name)
-        metrics = summarize(episodes, losses, table.size, axis_name, watched)
+        parts = terms | {"parameters": learner.params, "physics": drone_state(actors.fleet.state)}
+        metrics = summarize(episodes, are_finite(parts, axis_name), losses, table.size, axis_name, watched)
         return TrainState(learner, sampler_state, actors, key), metrics
 
     def policy(learner: Learner, greedy: bool = False):

@@ -7,13 +7,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from pecjax.agents.agent import Agent, Metrics, TrainState, summarize
+from pecjax.agents.agent import Agent, Metrics, TrainState, are_finite, summarize
 from pecjax.agents.networks import ActorCritic, draw_action, encode, forward
 from pecjax.agents.ppo_update import Learner, PPOSettings, make_optimizer, prepare, update
 from pecjax.agents.rollout import global_ids, launch, rollout
 from pecjax.curriculum.sampler import Sampler
 from pecjax.world.coordinates import Configurations
-from pecjax.world.navigation import RoomsNavigation, observation
+from pecjax.world.navigation import RoomsNavigation, drone_state, observation
 
 
 def make(
@@ -69,7 +69,8 @@ def make(
         batch = prepare(settings, trajectory, last_value, axis_name)
         learner, losses = update(network, optimizer, settings, learner, batch, key_update, axis_name)
         sampler_state = sampler.update(state.sampler, episodes.outcomes, axis_name)
-        metrics = summarize(episodes, losses, table.size, axis_name)
+        parts = losses | {"parameters": learner.params, "physics": drone_state(fleet.state)}
+        metrics = summarize(episodes, are_finite(parts, axis_name), losses, table.size, axis_name)
         return TrainState(learner, sampler_state, fleet, key), metrics
 
     def policy(learner: Learner, greedy: bool = False):

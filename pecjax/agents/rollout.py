@@ -55,11 +55,13 @@ class Episodes(NamedTuple):
         outcomes: what the sampler learns from.
         returns: sum of rewards of the episode.
         lengths: its number of actions.
+        unstable: bool, whether its physics blew up.
     """
 
     outcomes: Outcomes
     returns: jax.Array
     lengths: jax.Array
+    unstable: jax.Array
 
 
 def env_keys(key: jax.Array, env_ids: jax.Array) -> jax.Array:
@@ -140,6 +142,7 @@ def rollout(
             Outcomes(fleet.config_id, done, done & (flown.metrics["goal"] == 0)),
             episode_return,
             flown.info["step_count"],
+            flown.metrics["unstable"] > 0,
         )
         trajectory = Trajectory(fleet.state.obs, action, flown.reward, flown.done, extras)
 

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pecjax.commands.drawing import draw
+from pecjax.errors import InputError
 from pecjax.experiments import presets, training
+from pecjax.experiments.run_directory import RunDirectory
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,7 @@ class Train:
         devices: how many share them. (default: all that divide them evenly)
         out: the run's folder. (default: a new one under runs/)
         sampled_evaluation: evaluates with drawn actions instead of the likeliest ones.
+        resume: goes on with the run in --out where it was stopped, or with more --iterations.
     """
 
     preset: str | None = None
@@ -47,11 +50,20 @@ class Train:
     devices: int | None = None
     out: Path | None = None
     sampled_evaluation: bool = False
+    resume: bool = False
 
     def run(self) -> None:
         """Trains, then draws."""
+        if self.resume:  # what is given beside it must be as it was
+            if self.out is None:
+                raise InputError("--resume needs the run's folder; give it with --out")
+            base = presets.override(
+                RunDirectory(self.out).settings(), preset=self.preset, algorithm=self.algorithm
+            )
+        else:
+            base = presets.find_preset(self.preset, self.algorithm)
         settings = presets.override(
-            presets.find_preset(self.preset, self.algorithm),
+            base,
             num_envs=self.num_envs,
             sampler=self.sampler,
             alpha=self.alpha,
@@ -64,7 +76,8 @@ class Train:
             greedy=False if self.sampled_evaluation else None,
         )
         folder = self.out or Path("runs") / time.strftime(f"{settings.sampler}-%Y%m%d-%H%M%S")
-        summary = training.train(settings, folder, self.devices)
+        go = training.resume if self.resume else training.train
+        summary = go(settings, folder, self.devices)
         draw(folder)
         evaluated = summary["uniform_evaluation"]
         print(

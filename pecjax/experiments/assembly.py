@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh, NamedSharding
 
 from pecjax.agents import apex, ppo
-from pecjax.agents.agent import AXIS, Agent, fleet_mesh, shard
+from pecjax.agents.agent import AXIS, Agent, TrainState, fleet_mesh, placement, shard
 from pecjax.curriculum import Sampler
 from pecjax.experiments import evaluation
 from pecjax.experiments.devices import check_memory
@@ -74,11 +74,14 @@ def build(settings: RunSettings, scene: Scene, table: Configurations, num_device
     return Run(env, table, sampler, shard(agent, mesh), mesh)
 
 
-def abstract_learner(run: Run) -> Any:
-    """Shapes and placement of the learner's arrays, without making any of them."""
-    everywhere = NamedSharding(run.mesh, PartitionSpec())
+def abstract_state(run: Run) -> TrainState:
+    """Shapes and placement of a TrainState's arrays, without making any of them."""
     state = jax.eval_shape(run.agent.init, jax.random.key(0))
-    return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=everywhere), state.learner)
+
+    def placed(part: Any, place: NamedSharding) -> Any:
+        return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=place), part)
+
+    return TrainState(*map(placed, state, placement(run.mesh)))
 
 
 def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable[[Any], evaluation.Flights]:

@@ -1,75 +1,124 @@
-"""Checkpoints: a whole TrainState on disk, by iteration."""
+"""Checkpoints: what a run can go on from, and the policies it can be asked for, by iteration."""
 
 from __future__ import annotations
 
-import importlib
-from functools import cached_property
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
-import jax
+import numpy as np
 
 from pecjax.agents.agent import TrainState
 from pecjax.errors import InputError
+from pecjax.experiments.array_files import BrokenFileError, read_arrays, write_arrays
+
+KEPT_STATES = 2  # the newest, and one to fall back on
 
 
-def _orbax() -> ModuleType:
-    """Orbax: importing it takes over a second, which only saving and loading shall pay."""
-    return importlib.import_module("orbax.checkpoint")
+class Position(NamedTuple):
+    """Where a training stands: all that it needs to go on as if it had never stopped.
+
+    Attributes:
+        state: of world, curriculum and learner.
+        iteration: how many are done.
+        counts: (2, N) int64, trials and failures since the beginning.
+        held: iterations in a row that have held the goal ratio to stop at.
+        seconds: spent so far, compilation apart.
+    """
+
+    state: TrainState
+    iteration: np.ndarray
+    counts: np.ndarray
+    held: np.ndarray
+    seconds: np.ndarray
+
+    @classmethod
+    def make(
+        cls, state: TrainState, iteration: int, counts: np.ndarray, held: int, seconds: float
+    ) -> Position:
+        """A position, its numbers as arrays."""
+        return cls(state, np.array(iteration), counts, np.array(held), np.array(seconds))
 
 
 class Checkpoints:
-    """The checkpoints of one run folder; the only place that knows Orbax.
+    """The checkpoints of one run folder.
 
-    Every learner is kept, in `checkpoints`, so that policies can be had and compared; of the rest
-    (sampler, environments, replay), which may be large, only the newest two, in `states`.
+    Every evaluated learner is kept, in `checkpoints`, so that policies can be had and compared; of
+    whole positions, which may be large, only the newest, in `states`.
     """
 
-    def __init__(self, folder: Path) -> None:
-        """Names the folders, which are made with the first checkpoint."""
-        self._folder = (folder / "checkpoints").absolute()
-        self._states_folder = (folder / "states").absolute()
+    def __init__(self, folder: Path, about: dict[str, Any] | None = None) -> None:
+        """Names the folders, which are made with the first checkpoint.
 
-    @cached_property
-    def _manager(self) -> Any:
-        ocp = _orbax()
-        options = ocp.CheckpointManagerOptions(enable_async_checkpointing=False)
-        return ocp.CheckpointManager(self._folder, options=options)
+        Args:
+            about: what a position must belong to for a training to go on from it.
+        """
+        self._about = about
+        self._learners = folder / "checkpoints"
+        self._states = folder / "states"
 
-    @cached_property
-    def _states(self) -> Any:
-        ocp = _orbax()
-        options = ocp.CheckpointManagerOptions(enable_async_checkpointing=False, max_to_keep=2)
-        return ocp.CheckpointManager(self._states_folder, options=options)
+    def save_learner(self, iteration: int, learner: Any) -> None:
+        """Keeps the learner after `iteration` iterations."""
+        write_arrays(_path(self._learners, iteration), learner)
 
-    def save(self, iteration: int, state: TrainState) -> None:
-        """Writes the state after `iteration` iterations."""
-        rest = state._replace(learner=None, key=jax.random.key_data(state.key))
-        ocp = _orbax()
-        self._states.save(iteration, args=ocp.args.Composite(rest=ocp.args.StandardSave(rest._asdict())))
-        self._manager.save(iteration, args=ocp.args.Composite(learner=ocp.args.StandardSave(state.learner)))
+    def save_position(self, here: Position) -> None:
+        """Keeps where a training stands, and forgets what is older than the one before."""
+        write_arrays(_path(self._states, int(here.iteration)), here, self._about)
+        for iteration in _iterations(self._states)[:-KEPT_STATES]:
+            _path(self._states, iteration).unlink()
+
+    def forget_after(self, iteration: int, every: int) -> None:
+        """Removes learners that a run of which `iteration` iterations are done would not have."""
+        for there in _iterations(self._learners):
+            if there > iteration or there % every:
+                _path(self._learners, there).unlink()
+        for there in _iterations(self._states):
+            if there > iteration:
+                _path(self._states, there).unlink()
 
     def iterations(self) -> list[int]:
-        """The iterations at which a checkpoint was saved, rising."""
-        return sorted(self._manager.all_steps()) if self._folder.is_dir() else []
+        """The iterations at which a learner was kept, rising."""
+        return _iterations(self._learners)
 
     def load_learner(self, like: Any, iteration: int | None = None) -> tuple[int, Any]:
-        """The learner's part of a checkpoint, the newest when `iteration` is None.
+        """A kept learner, the newest when `iteration` is None.
 
         Args:
             like: a learner of the same structure, of arrays or their shapes.
 
         Raises:
-            InputError: there is no such checkpoint.
+            InputError: there is no such checkpoint, or it is broken.
         """
         there = self.iterations()
         if not there:
-            raise InputError(f"{self._folder}: no checkpoint; train first")
+            raise InputError(f"{self._learners}: no checkpoint; train first")
         if iteration is not None and iteration not in there:
             listed = ", ".join(map(str, there))
-            raise InputError(f"{self._folder}: no checkpoint {iteration}; there are {listed}")
+            raise InputError(f"{self._learners}: no checkpoint {iteration}; there are {listed}")
         iteration = there[-1] if iteration is None else iteration
-        ocp = _orbax()
-        items = ocp.args.Composite(learner=ocp.args.StandardRestore(like))
-        return iteration, self._manager.restore(iteration, args=items)["learner"]
+        try:
+            return iteration, read_arrays(_path(self._learners, iteration), like)
+        except BrokenFileError as error:
+            raise InputError(f"{error}; choose another with --checkpoint") from error
+
+    def load_position(self, like: Position) -> tuple[Position, list[str]]:
+        """The newest whole position, and what was said of broken ones on the way to it.
+
+        Raises:
+            InputError: there is none, or it is of other settings.
+        """
+        said = []
+        for iteration in reversed(_iterations(self._states)):
+            try:
+                return read_arrays(_path(self._states, iteration), like, self._about), said
+            except BrokenFileError as error:
+                said.append(f"{error}; falling back to the one before")
+        reason = "; ".join(said) or "no state to go on from"
+        raise InputError(f"{self._states}: {reason}; train anew in another folder")
+
+
+def _path(folder: Path, iteration: int) -> Path:
+    return folder / f"{iteration}.npz"
+
+
+def _iterations(folder: Path) -> list[int]:
+    return sorted(int(path.stem) for path in folder.glob("*.npz") if path.stem.isdigit())

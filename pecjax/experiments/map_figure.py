@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.cm import ScalarMappable, viridis
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, Rectangle
 
@@ -39,14 +39,15 @@ def rooms(scene: Scene, table: Configurations, trajectories: pd.DataFrame | None
 
 
 def success(axes: Axes, scene: Scene, table: Configurations, ratios: np.ndarray) -> ScalarMappable:
-    """The map with a line for every configuration, coloured by its goal ratio, on given axes.
+    """The map with a line for every configuration, coloured by its goal ratio, the lower the broader.
 
     A pair and its reverse bend apart, each to the right of its way.
 
     Returns:
         what a colour bar needs.
     """
-    shade = ScalarMappable(Normalize(0.5, 1), "viridis")
+    colors = LinearSegmentedColormap.from_list("dark", viridis(np.linspace(0, 0.85, 64)))
+    shade = ScalarMappable(Normalize(0.5, 1), colors)
     floor_plan(axes, scene)
     for start, goal, ratio in zip(np.asarray(table.start), np.asarray(table.goal), ratios, strict=True):
         arrow = FancyArrowPatch(
@@ -57,7 +58,7 @@ def success(axes: Axes, scene: Scene, table: Configurations, ratios: np.ndarray)
             mutation_scale=8,
             shrinkA=4,
             shrinkB=4,
-            linewidth=1.6,
+            linewidth=1.2 + 4 * (1 - ratio),
             color=shade.to_rgba(ratio),
         )
         axes.add_patch(arrow)

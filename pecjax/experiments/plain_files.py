@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +64,15 @@ def scene_text(scene_path: Path) -> str:
                 "take the asset out or draw it with plain geoms"
             )
     return spec.to_xml()
+
+
+def differences(before: Any, now: Any, name: str = "") -> Iterator[str]:
+    """Where two JSON values differ, in words."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in before | now:
+            yield from differences(before.get(key), now.get(key), f"{name}.{key}".lstrip("."))
+    elif before != now:
+        yield f"{name} ({before!r} there, {now!r} here)"
 
 
 def replace_file(path: Path, text: str) -> None:

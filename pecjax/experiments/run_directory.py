@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import fcntl
+import hashlib
+import importlib.metadata
 import json
-from collections.abc import Iterable
+import os
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +20,8 @@ from pecjax.experiments import plain_files
 from pecjax.experiments.presets import RunSettings
 from pecjax.experiments.provenance import environment_facts
 from pecjax.world.coordinates import Configurations, load_coordinates
+
+HOW_LONG = ("iterations", "until_goal_ratio", "patience")  # settings that no iteration depends on
 
 
 class RunDirectory:
@@ -35,8 +42,7 @@ class RunDirectory:
             (self.folder / "figures").mkdir()
             self.scene_path.write_text(scene)
             (self.folder / "coordinates.csv").write_text(plain_files.coordinates_text(table))
-            config = {"settings": dataclasses.asdict(settings)} | environment_facts(num_devices)
-            self.write_json("config.json", config)
+            self.record(settings, num_devices)
         except OSError as error:
             raise InputError(
                 f"{self.folder}: cannot be written ({error.strerror}); choose another --out"
@@ -69,6 +75,69 @@ class RunDirectory:
         with path.open("a", newline="") as file:
             file.write(text)
 
+    def roll_back(self, name: str, keep: Callable[[int], bool]) -> None:
+        """Keeps only the whole rows of those iterations that are wanted."""
+        path = self.folder / name
+        if not path.exists():
+            return
+        header, *rows = path.read_text().splitlines(keepends=True)
+        place, number = header.split(",").index("iteration"), header.count(",")
+        whole = [row.split(",") for row in rows if row.endswith("\n") and row.count(",") == number]
+        kept = [",".join(row) for row in whole if keep(int(row[place]))]
+        plain_files.replace_file(path, header + "".join(kept))
+
+    def remove(self, *names: str) -> None:
+        """Removes files that the end of a run has written."""
+        for name in names:
+            (self.folder / name).unlink(missing_ok=True)
+
     def write_json(self, name: str, content: dict[str, Any]) -> None:
         """Writes one JSON object."""
-        (self.folder / name).write_text(plain_files.json_text(content))
+        plain_files.replace_file(self.folder / name, plain_files.json_text(content))
+
+    def record(self, settings: RunSettings, num_devices: int) -> None:
+        """Writes config.json."""
+        config = {"settings": dataclasses.asdict(settings)} | environment_facts(num_devices)
+        self.write_json("config.json", config)
+
+    def num_devices(self) -> int | None:
+        """How many devices the run was begun on, where its config.json says so."""
+        try:
+            return int(json.loads((self.folder / "config.json").read_text())["devices"]["used"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    def differences(self, settings: RunSettings) -> list[str]:
+        """What a run that goes on with these settings would do otherwise than before."""
+        return list(plain_files.differences(_what_matters(self.settings()), _what_matters(settings)))
+
+    def identity(self) -> dict[str, Any]:
+        """All that an iteration depends on: settings, map, coordinates and version."""
+        return {
+            "settings": _what_matters(self.settings()),
+            "scene.xml": hashlib.sha256(self.scene_path.read_bytes()).hexdigest(),
+            "coordinates.csv": hashlib.sha256((self.folder / "coordinates.csv").read_bytes()).hexdigest(),
+            "version": importlib.metadata.version("pecjax"),
+        }
+
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """Keeps other processes from training in the folder at the same time.
+
+        Raises:
+            InputError: one does already.
+        """
+        place = os.open(self.folder, os.O_RDONLY)
+        try:
+            try:
+                fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)  # gone with the process, however it ends
+            except BlockingIOError as error:
+                raise InputError(f"{self.folder}: another process trains here; wait for its end") from error
+            yield
+        finally:
+            os.close(place)
+
+
+def _what_matters(settings: RunSettings) -> dict[str, Any]:
+    """Settings that iterations depend on."""
+    return {name: value for name, value in dataclasses.asdict(settings).items() if name not in HOW_LONG}

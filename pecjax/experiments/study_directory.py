@@ -99,9 +99,9 @@ class StudyDirectory:
         self.settings()
         held = json.loads((self.folder / "study.json").read_text())
         differing = [
-            f"{name} ({before!r} there, {now!r} here)"
+            difference
             for part in ("settings", "versions")
-            for name, before, now in _differences(held.get(part), content[part], "")
+            for difference in plain_files.differences(held.get(part), content[part])
         ]
         for name, text in files.items():
             path = self.folder / name
@@ -164,12 +164,3 @@ def _is_whole(path: Path) -> bool:
     except (OSError, ValueError):
         return False
     return found == sums and set(sums) == {f"{name}.csv" for name in StudyDirectory.TABLES}
-
-
-def _differences(before: Any, now: Any, name: str) -> Iterator[tuple[str, Any, Any]]:
-    """Where two JSON values differ: name, value before, value now."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in before | now:
-            yield from _differences(before.get(key), now.get(key), f"{name}.{key}".lstrip("."))
-    elif before != now:
-        yield name, before, now

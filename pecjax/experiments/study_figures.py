@@ -173,16 +173,18 @@ def exits(metrics: pd.DataFrame, runs: pd.DataFrame) -> Figure:
     axes = figure.subplots()
     _curves(axes, _smooth(metrics), "goal_ratio", f"training goal ratio (mean of {SMOOTHED_ITERATIONS})")
     batch = _batch(metrics)
-    for place, (_, rows, (color, _, mark)) in enumerate(_conditions(runs)):
+    for place, (condition, rows, (color, _, mark)) in enumerate(_conditions(runs)):
         for at in THRESHOLDS:
             exit_at = rows[f"exit_at_{at:g}"].to_numpy() / batch
             height = np.full(len(rows), at + 0.012 * place)
-            axes.scatter(exit_at, height, marker=mark, s=22, facecolor="white", edgecolor=color, zorder=3)
+            label = f"{condition}: exit" if at == THRESHOLDS[0] else None
+            style = {"marker": mark, "facecolor": "white", "edgecolor": color, "label": label}
+            axes.scatter(exit_at, height, s=22, zorder=3, **style)
     for at in THRESHOLDS:
         axes.axhline(at, color="0.6", linewidth=0.7, linestyle=":")
     axes.set_ylim(0, 1.04)
     steps_axis(axes, batch)
-    axes.legend(title="marks: five iterations in a row held 0.90 or 0.95", fontsize=8, title_fontsize=8)
+    axes.legend(title="exit: five iterations in a row held 0.90 or 0.95", fontsize=8, title_fontsize=8)
     return figure
 
 

@@ -29,6 +29,7 @@ def metrics_row(iteration: int, batch: int, seconds: float, metrics: Metrics) ->
         "episodes": trials,
         "mean_return": mean(float(metrics.return_sum)),
         "mean_length": mean(float(metrics.length_sum)),
+        "unstable": int(metrics.unstable),
     } | {name: float(value) for name, value in metrics.losses.items()}
 
 

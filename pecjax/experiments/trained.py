@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pecjax.experiments.assembly import Run, abstract_learner, build
+from pecjax.experiments.assembly import Run, abstract_state, build
 from pecjax.experiments.checkpoint import Checkpoints
 from pecjax.experiments.devices import choose_num_devices
 from pecjax.experiments.presets import RunSettings
@@ -45,5 +45,5 @@ def open_run(folder: Path, checkpoint: int | None = None) -> Trained:
     num_devices = choose_num_devices(None, settings.learner.shares)
     scene = load_scene(directory.scene_path, settings.resolution)
     run = build(settings, scene, directory.table(), num_devices)
-    iteration, learner = Checkpoints(folder).load_learner(abstract_learner(run), checkpoint)
+    iteration, learner = Checkpoints(folder).load_learner(abstract_state(run).learner, checkpoint)
     return Trained(settings, run, iteration, learner)

@@ -1,10 +1,7 @@
-"""Training: the host's loop around an agent's iterations."""
+"""Training: a run begun, or taken up where it was stopped."""
 
 from __future__ import annotations
 
-import contextlib
-import time
-from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -12,11 +9,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from pecjax.agents.agent import Metrics, TrainState
-from pecjax.experiments import tables
-from pecjax.experiments.assembly import Run, build, compile_evaluator, load_world
-from pecjax.experiments.checkpoint import Checkpoints
+from pecjax.agents.agent import TrainState
+from pecjax.errors import InputError
+from pecjax.experiments.assembly import Run, abstract_state, build, load_world
+from pecjax.experiments.checkpoint import Checkpoints, Position
 from pecjax.experiments.devices import choose_num_devices
+from pecjax.experiments.interruption import Interruption
+from pecjax.experiments.loop import Clock, Iterate, Session, is_counted, is_evaluated, loop
 from pecjax.experiments.plain_files import check_free
 from pecjax.experiments.presets import RunSettings, check_settings
 from pecjax.experiments.progress import Progress
@@ -24,14 +23,19 @@ from pecjax.experiments.run_directory import RunDirectory
 from pecjax.world.scene import load_scene
 
 
-def start(run: Run, seed: int) -> tuple[TrainState, Callable[[TrainState], tuple[TrainState, Metrics]]]:
+def start(run: Run, seed: int) -> tuple[TrainState, Iterate]:
     """The first state and the compiled iteration, the one prepared while the other compiles."""
     key = jax.random.key(seed)
     init = jax.jit(run.agent.init).lower(key)
     with ThreadPoolExecutor(1) as aside:
         state = aside.submit(lambda: init.compile()(key))
-        iterate = jax.jit(run.agent.iterate, donate_argnums=0).trace(init.out_info)
-        return state.result(), iterate.lower().compile()
+        iterate = compile_iteration(run)
+        return state.result(), iterate
+
+
+def compile_iteration(run: Run) -> Iterate:
+    """The iteration as a compiled program; it takes the place of the state it is given."""
+    return jax.jit(run.agent.iterate, donate_argnums=0).trace(abstract_state(run)).lower().compile()
 
 
 def train(settings: RunSettings, folder: Path, devices: int | None = None) -> dict[str, Any]:
@@ -46,6 +50,8 @@ def train(settings: RunSettings, folder: Path, devices: int | None = None) -> di
 
     Raises:
         InputError: anything the user can put right; nothing has been written then.
+        StoppedError: a signal asked for it; `resume` goes on.
+        DivergedError: a figure that is not finite.
     """
     check_settings(settings)
     num_devices = choose_num_devices(devices, settings.learner.shares)
@@ -54,87 +60,84 @@ def train(settings: RunSettings, folder: Path, devices: int | None = None) -> di
     check_free(folder)
     directory = RunDirectory(folder)
     directory.create(settings, scene_path, table, num_devices)
-    run = build(settings, load_scene(directory.scene_path, settings.resolution), table, num_devices)
-    with Progress(settings.iterations) as progress:
+    return _go(settings, directory, num_devices, resumed=False)
+
+
+def resume(settings: RunSettings, folder: Path, devices: int | None = None) -> dict[str, Any]:
+    """Goes on with a training that was stopped, as if it had not been, or with more iterations.
+
+    Args:
+        settings: of the run in `folder`; iterations, goal ratio to stop at and patience may have
+            changed.
+        devices: as many as before when None.
+
+    Raises:
+        InputError: the folder holds no run, one of other settings, or nothing to go on from.
+        StoppedError, DivergedError: see `train`.
+    """
+    check_settings(settings)
+    directory = RunDirectory(folder)
+    differing = directory.differences(settings)
+    if differing:
+        raise InputError(f"{folder}: holds a run that differs in {', '.join(differing)}; leave these out")
+    wanted = devices or directory.num_devices()
+    there = len(jax.devices())
+    num_devices = choose_num_devices(wanted if wanted and wanted <= there else None, settings.learner.shares)
+    return _go(settings, directory, num_devices, resumed=True)
+
+
+def _go(settings: RunSettings, directory: RunDirectory, num_devices: int, resumed: bool) -> dict[str, Any]:
+    scene = load_scene(directory.scene_path, settings.resolution)
+    run = build(settings, scene, directory.table(), num_devices)
+    folder = directory.folder
+    with directory.alone(), Progress(settings.iterations) as progress, Interruption() as interruption:
         progress.say(f"{folder}: {settings.learner.num_envs} environments on {num_devices} device(s)")
         if run.agent.replay_bytes:
             progress.say(f"replay: {run.agent.replay_bytes / 1e6:,.0f} MB")
-        return _loop(settings, run, directory, progress)
+        session = Session(settings, run, directory, progress, interruption, Clock())
+        try:
+            here, iterate = _go_on(session) if resumed else _begin(session)
+            progress.say(f"compiled in {session.clock.compile_seconds:.1f} s")
+            return loop(session, here, iterate)
+        except OSError as error:
+            raise InputError(
+                f"{folder}: cannot be written ({error.strerror}); put that right and go on with "
+                f"pecjax train --resume --out {folder}"
+            ) from error
 
 
-def _loop(settings: RunSettings, run: Run, directory: RunDirectory, progress: Progress) -> dict[str, Any]:
-    checkpoints = Checkpoints(directory.folder)
-    clock = _Clock()
+def _begin(session: Session) -> tuple[Position, Iterate]:
+    with session.clock.compiling():
+        state, iterate = start(session.run, session.settings.seed)
+    return Position.make(state, 0, _no_counts(session.run), 0, 0.0), iterate
+
+
+def _go_on(session: Session) -> tuple[Position, Iterate]:
+    """The newest position to go on from; the tables are rolled back to it."""
+    settings, run, directory, progress, _, clock = session
+    checkpoints = Checkpoints(directory.folder, directory.identity())
+    here, said = checkpoints.load_position(Position.make(abstract_state(run), 0, _no_counts(run), 0, 0.0))
+    for line in said:
+        progress.say(line)
+    done = int(here.iteration)
+    if done >= settings.iterations or here.held >= settings.patience:
+        raise InputError(
+            f"{directory.folder}: has come to its end at iteration {done}; "
+            "give a greater --iterations to go on"
+        )
+    # What only the end of a shorter run had written is not in the tables of a longer one.
+    directory.record(settings, run.mesh.devices.size)
+    directory.remove("summary.json", "trajectories.csv")
+    directory.roll_back("metrics.csv", lambda row: row <= done)
+    directory.roll_back("evaluation.csv", lambda row: row <= done and is_evaluated(settings, row))
+    directory.roll_back("configurations.csv", lambda row: row <= done and is_counted(settings, row))
+    checkpoints.forget_after(done, settings.evaluate_every)
+    progress.say(f"goes on after iteration {done}")
+    progress.skip(done)
+    clock.spent_before = float(here.seconds)
     with clock.compiling():
-        state, iterate = start(run, settings.seed)
-        probabilities = jax.jit(run.sampler.probabilities)
-    progress.say(f"compiled in {clock.compile_seconds:.1f} s")
-
-    counts = np.zeros((2, run.table.size), np.int64)
-    evaluate = None
-    row, evaluated = {}, {}
-    held, last, iteration = 0, False, 0
-    while not last:
-        iteration += 1
-        state, metrics = iterate(state)
-        metrics = jax.device_get(metrics)
-        counts += metrics.counts
-        row = tables.metrics_row(iteration, run.agent.steps_per_iteration, clock.seconds(), metrics)
-        directory.append("metrics.csv", [row])
-        goal_ratio = settings.until_goal_ratio
-        held = held + 1 if goal_ratio is not None and row["goal_ratio"] >= goal_ratio else 0
-        last = iteration == settings.iterations or held == settings.patience
-        if iteration == 1 or iteration % settings.configurations_every == 0 or last:
-            drawn_with = np.asarray(probabilities(state.sampler))
-            directory.append("configurations.csv", tables.configuration_rows(iteration, counts, drawn_with))
-        if iteration % settings.evaluate_every == 0 or last:
-            checkpoints.save(iteration, state)
-            if evaluate is None:
-                with clock.compiling():
-                    evaluate = compile_evaluator(run, settings, state.learner)
-            flights = evaluate(state.learner)
-            evaluated = tables.evaluation_row(iteration, row["env_steps"], flights, run.table.size)
-            directory.append("evaluation.csv", [evaluated])
-            progress.say(
-                f"iteration {iteration}: goal ratio {evaluated['goal_ratio']:.3f} over {len(flights.goal)} "
-                f"{'greedy' if settings.greedy else 'sampled'} episodes of a uniform draw"
-            )
-            if last:
-                directory.append("trajectories.csv", tables.path_rows(flights, run.table.size))
-        rate = row["env_steps"] / clock.seconds()
-        progress.advance(1, f"training goal ratio {row['goal_ratio']:.3f}, {rate:,.0f} steps/s")
-
-    seconds = clock.seconds()
-    summary = {
-        "iterations": iteration,
-        "env_steps": row["env_steps"],
-        "seconds": round(seconds, 2),
-        "compile_seconds": round(clock.compile_seconds, 2),
-        "steps_per_second": round(row["env_steps"] / seconds, 1),
-        "training_goal_ratio": row["goal_ratio"],
-        "uniform_evaluation": {
-            "episodes": settings.evaluation_episodes,
-            "greedy": settings.greedy,
-            "goal_ratio": evaluated["goal_ratio"],
-            "mean_return": evaluated["mean_return"],
-        },
-    }
-    directory.write_json("summary.json", summary)
-    return summary
+        return here, compile_iteration(run)
 
 
-class _Clock:
-    """Wall-clock seconds since training began, compilation apart."""
-
-    def __init__(self) -> None:
-        self._begun = time.perf_counter()
-        self.compile_seconds = 0.0
-
-    def seconds(self) -> float:
-        return time.perf_counter() - self._begun - self.compile_seconds
-
-    @contextlib.contextmanager
-    def compiling(self) -> Iterator[None]:
-        begun = time.perf_counter()
-        yield
-        self.compile_seconds += time.perf_counter() - begun
+def _no_counts(run: Run) -> np.ndarray:
+    return np.zeros((2, run.table.size), np.int64)

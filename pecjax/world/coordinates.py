@@ -16,6 +16,7 @@ from pecjax.world.scene import Scene
 
 MAX_COORDINATE = 1e6  # m; what lies beyond is a slip of the pen
 CELL = 0.05  # m, of the grid on which reachability is decided
+MAX_CELLS = 2**23
 
 
 class Configurations(NamedTuple):
@@ -164,8 +165,16 @@ def free_regions(scene: Scene, flight_height: float) -> tuple[np.ndarray, np.nda
     Returns:
         (X, Y) int labels, 0 where the drone does not fit, and (2,) m, the place of cell (0, 0);
         cells are `CELL` metres apart.
+
+    Raises:
+        InputError: the map is too large for that.
     """
     low, high = scene.wall_lower[:, :2].min(axis=0), scene.wall_upper[:, :2].max(axis=0)
+    if np.prod((high - low) / CELL) > MAX_CELLS:
+        raise InputError(
+            f"the map is {high[0] - low[0]:g} by {high[1] - low[1]:g} m; "
+            f"{MAX_CELLS * CELL**2:,.0f} m² is the most that paths are looked for on"
+        )
     xs, ys = (np.arange(low[axis], high[axis] + CELL, CELL) for axis in range(2))
     points = np.stack(np.meshgrid(xs, ys, [flight_height], indexing="ij"), axis=-1)[:, :, 0]
     distance = np.asarray(wall_distance(scene, jnp.asarray(points, jnp.float32)))

@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from brax.envs.base import Env, State
 
@@ -17,6 +18,7 @@ from pecjax.world.flight import Command, ControllerGains, DroneState, fly, hover
 from pecjax.world.rotations import heading
 from pecjax.world.scene import Scene
 
+MAX_PHYSICS_STEPS = 1000  # in one control period
 SPEEDS = (0.0, 1.0, 2.0)  # m/s
 YAW_RATES = (-np.pi / 2, -np.pi / 4, 0.0, np.pi / 4, np.pi / 2)  # rad/s
 
@@ -80,12 +82,12 @@ class RoomsNavigation(Env):
         settings: NavigationSettings = NavigationSettings(),
     ) -> None:
         """Builds the environment; `configurations` is what `reset` draws from, uniformly."""
-        ratio = settings.control_period / scene.model.opt.timestep
+        ratio = settings.control_period / max(scene.model.opt.timestep, 1e-9)
         self.physics_steps = round(ratio)
-        if self.physics_steps < 1 or abs(ratio - self.physics_steps) > 1e-6:
+        if not 1 <= self.physics_steps <= MAX_PHYSICS_STEPS or abs(ratio - self.physics_steps) > 1e-6:
             raise InputError(
-                f"control period {settings.control_period} s is not a multiple of the scene's "
-                f"timestep {scene.model.opt.timestep} s; change one of them"
+                f"control period {settings.control_period} s is not a multiple of the scene's timestep "
+                f"{scene.model.opt.timestep} s, or more than {MAX_PHYSICS_STEPS} times it; change either"
             )
         self.scene = scene
         self.configurations = configurations
@@ -114,7 +116,7 @@ class RoomsNavigation(Env):
             obs={},
             reward=zero,
             done=zero,
-            metrics={"goal": zero, "collision": zero, "timeout": zero},
+            metrics={"goal": zero, "collision": zero, "timeout": zero, "unstable": zero},
             info={
                 "config": config,
                 "step_count": jnp.zeros((), jnp.int32),
@@ -127,18 +129,22 @@ class RoomsNavigation(Env):
         settings = self.settings
         speed = jnp.asarray(SPEEDS, jnp.float32)[action // len(YAW_RATES)]
         yaw_rate = jnp.asarray(YAW_RATES, jnp.float32)[action % len(YAW_RATES)]
+        before = drone_state(state)
         drone, nearest = fly(
             self.scene,
             settings.gains,
-            drone_state(state),
+            before,
             Command(speed, yaw_rate, settings.flight_height),
             self.physics_steps,
         )
+        # Physics that has blown up counts as a collision, and goes no further than this episode.
+        unstable = ~jnp.all(jnp.abs(jnp.concatenate(drone)) < mujoco.mjMAXVAL)
+        drone = jax.tree.map(lambda old, new: jnp.where(unstable, old, new), before, drone)
         info = state.info
         step_count = info["step_count"] + 1
         standing_count = (speed == 0) * (info["standing_count"] + 1)
 
-        collision = nearest <= self.scene.drone_radius
+        collision = (nearest <= self.scene.drone_radius) | unstable
         distance = jnp.linalg.norm(info["config"].goal - drone.qpos[:2])
         goal = (distance < settings.goal_radius) & ~collision
         timeout = (step_count >= settings.max_steps) & ~goal & ~collision
@@ -157,6 +163,7 @@ class RoomsNavigation(Env):
                 "goal": goal.astype(jnp.float32),
                 "collision": collision.astype(jnp.float32),
                 "timeout": timeout.astype(jnp.float32),
+                "unstable": unstable.astype(jnp.float32),
             },
             info=info | {"step_count": step_count, "standing_count": standing_count},
         )

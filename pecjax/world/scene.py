@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +20,10 @@ from pecjax.world.drone import (
     read_radius,
     read_rotors,
 )
+from pecjax.world.mjcf_file import compile_mjcf
+
+MAX_WALLS = 1000  # each is a part of every step's program
+MAX_EXTENT = 1000  # m, from the origin
 
 # With contacts and constraints off nothing is left to solve, and the sparse mass matrix keeps
 # MJX away from batched LAPACK, which is slower and can hang (docs/performance.md).
@@ -81,7 +84,7 @@ def load_scene(path: str | Path | None = None, resolution: tuple[int, int] | Non
         InputError: the file is missing, is not MJCF, or lacks one of the above.
     """
     path = default_scene_path() if path is None else Path(path)
-    model = _compile(path)
+    model = compile_mjcf(path)
     drone = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "drone")
     if drone < 0:
         raise InputError(f"{path}: no body named 'drone'; name the drone's body so")
@@ -114,20 +117,6 @@ def load_scene(path: str | Path | None = None, resolution: tuple[int, int] | Non
     )
 
 
-def _compile(path: Path) -> mujoco.MjModel:
-    if not path.is_file():
-        raise InputError(f"{path}: no such scene file; give the path of an MJCF file")
-    try:
-        ElementTree.parse(path)
-    except (ElementTree.ParseError, ValueError, LookupError, OSError) as error:
-        raise InputError(f"{path}: not XML ({error}); give an MJCF file") from error
-    try:
-        return mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: MuJoCo cannot compile it: {reason}") from error
-
-
 def _without_actuation(model: mujoco.MjModel) -> mujoco.MjModel:
     model = copy.copy(model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
@@ -155,4 +144,8 @@ def _walls(path: Path, model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, t
         names.append(name)
     if not names:
         raise InputError(f"{path}: no wall; the map needs at least one box geom that collides")
+    if len(names) > MAX_WALLS:
+        raise InputError(f"{path}: {len(names)} walls; {MAX_WALLS} is the most, put some together")
+    if not np.all(np.abs([lower, upper]) <= MAX_EXTENT):
+        raise InputError(f"{path}: a wall reaches beyond {MAX_EXTENT:,} m; make the map smaller")
     return np.array(lower), np.array(upper), tuple(names)

@@ -1,0 +1,196 @@
+"""Thousands of broken files, each of which must be read or refused in one line, and soon.
+
+    python tests/fuzz.py [--inputs 10000] [--seed 0]
+
+Scenes and coordinate files go through what `pecjax check` does with them, run folders through what
+`figures` and `eval` read first. `test_untrusted_files.py` runs some hundreds of the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import re
+import shutil
+import signal
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import pecjax
+from pecjax.experiments.drawing import read_table
+from pecjax.experiments.run_directory import RunDirectory
+from pecjax.experiments.run_figures import _COLUMNS
+from pecjax.experiments.study_directory import StudyDirectory
+from pecjax.world import load_coordinates, load_scene
+from pecjax.world.coordinates import check_coordinates
+from pecjax.world.scene import default_scene_path
+
+SECONDS = 20  # that one input may take
+NUMBERS = ["nan", "inf", "-1", "0", "1e308", "1e-300", "9" * 40, "", "x", "1 2 3 4 5 6 7 8 9", "-0.0", "1e9"]
+PIECES = [
+    '<!DOCTYPE m [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]>',
+    '<include file="../../etc/passwd"/>',
+    '<include file="/etc/passwd"/>',
+    '<include file="map.xml"/>',
+    '<compiler meshdir="/"/>',
+    '<size memory="900G"/>',
+    '<size nuserdata="2000000000"/>',
+    '<asset><texture name="t" builtin="checker" width="90000" height="90000"/></asset>',
+    '<asset><hfield name="h" nrow="90000" ncol="90000" size="1 1 1 1"/></asset>',
+    '<asset><mesh name="m" file="../secret.obj"/></asset>',
+    '<worldbody><replicate count="100000000" offset="1 0 0"><geom size="1"/></replicate></worldbody>',
+    '<option timestep="1e-12"/>',
+    '<option gravity="nan nan nan"/>',
+    "\x00",
+    "\ufeff",
+    "&amp;" * 50,
+    "<a>" * 3000,
+]
+
+
+def mutate(text: str, rng: random.Random) -> bytes:
+    """One to four changes: numbers, words, whole tags, bytes."""
+    for _ in range(rng.randint(1, 4)):
+        kind = rng.randrange(8)
+        spans = [m.span() for m in re.finditer(r"-?\d+\.?\d*" if kind < 2 else r'"[^"]*"|<[^>]*>', text)]
+        if kind < 2 and spans:
+            low, high = rng.choice(spans)
+            text = text[:low] + rng.choice(NUMBERS) + text[high:]
+        elif kind < 5 and spans:
+            low, high = rng.choice(spans)
+            other = text[slice(*rng.choice(spans))]
+            text = (
+                text[:low] + rng.choice(["", other, other * 2, '"' + rng.choice(NUMBERS) + '"']) + text[high:]
+            )
+        elif kind == 5:
+            place = rng.choice([m.end() for m in re.finditer(">", text)] or [0])
+            text = text[:place] + rng.choice(PIECES) + text[place:]
+        elif kind == 6:
+            text = text[: rng.randrange(len(text) + 1)]
+        else:
+            place = rng.randrange(len(text) + 1)
+            text = text[:place] + chr(rng.randrange(1, 0x2FF)) + text[place + rng.randrange(3) :]
+    content = text.encode("utf-8", "surrogatepass")
+    if rng.random() < 0.1 and content:
+        place = rng.randrange(len(content))
+        content = content[:place] + bytes([rng.randrange(256)]) + content[place + 1 :]
+    return content
+
+
+def scene_input(folder: Path, rng: random.Random) -> None:
+    path = folder / "map.xml"
+    path.write_bytes(mutate(default_scene_path().read_text(), rng))
+    scene = load_scene(path)
+    pecjax.RoomsNavigation(scene)
+
+
+def coordinates_input(folder: Path, rng: random.Random, scene: pecjax.world.Scene) -> None:
+    path = folder / "pairs.csv"
+    path.write_bytes(mutate("0, -2, 5, -2\n-1 0 -1 4\n\n# a comment\n3, 2, 3, 6\n", rng))
+    check_coordinates(scene, load_coordinates(path), flight_height=1.2)
+
+
+def run_input(folder: Path, rng: random.Random, run: Path) -> None:
+    copy = folder / "run"
+    shutil.rmtree(copy, ignore_errors=True)
+    copy.mkdir()
+    names = ["config.json", "coordinates.csv", "study.json", *(f"{name}.csv" for name in _COLUMNS)]
+    spoilt = rng.choice(names)
+    for name in names:
+        text = (run / name).read_text()
+        (copy / name).write_bytes(mutate(text, rng) if name == spoilt else text.encode())
+    directory = RunDirectory(copy)
+    directory.settings(), directory.table(), StudyDirectory(copy).settings()
+    for name, columns in _COLUMNS.items():
+        read_table(copy / f"{name}.csv", columns)
+
+
+class TooSlowError(Exception):
+    """An input took longer than it may."""
+
+
+def attempt(one: Callable[[], None]) -> str:
+    """What became of one input; everything but these three is raised."""
+
+    def too_slow(*_: object) -> None:
+        raise TooSlowError
+
+    signal.signal(signal.SIGALRM, too_slow)
+    signal.alarm(SECONDS)
+    try:
+        one()
+    except pecjax.InputError as error:
+        message = str(error)
+        assert message and "\n" not in message and len(message) < 1500, message
+        return "refused"
+    finally:
+        signal.alarm(0)
+    return "read"
+
+
+def fuzz(inputs: int, seed: int, run: Path) -> Counter:
+    """Tries so many inputs of each kind in turn; returns what became of them, by kind."""
+    rng = random.Random(seed)
+    scene = load_scene()
+    found: Counter = Counter()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "inner"
+        folder.mkdir()
+        kinds = {
+            "scene": lambda: scene_input(folder, rng),
+            "coordinates": lambda: coordinates_input(folder, rng, scene),
+            "run": lambda: run_input(folder, rng, run),
+        }
+        for number in range(inputs):
+            kind = list(kinds)[number % len(kinds)]
+            state = rng.getstate()
+            try:
+                found[kind, attempt(kinds[kind])] += 1
+            except BaseException:
+                shutil.copytree(folder, f"fuzz-failure-{seed}-{number}", dirs_exist_ok=True)
+                print(f"input {number} ({kind}), kept in fuzz-failure-{seed}-{number}; state {hash(state)}")
+                raise
+    return found
+
+
+def sample_run(folder: Path) -> Path:
+    """The files of a small run and a small study, as they would be written."""
+    import dataclasses
+
+    from pecjax.experiments import plain_files
+    from pecjax.experiments.presets import PRESETS
+    from pecjax.experiments.studies import find_study
+
+    folder.mkdir(parents=True, exist_ok=True)
+    config = {"settings": dataclasses.asdict(PRESETS["fast"])}
+    (folder / "config.json").write_text(plain_files.json_text(config))
+    study = {"settings": dataclasses.asdict(find_study("fig4"))}
+    (folder / "study.json").write_text(plain_files.json_text(study))
+    table = plain_files.coordinates_text(pecjax.COORDINATE_SET_1)
+    (folder / "coordinates.csv").write_text(table)
+    for name, columns in _COLUMNS.items():
+        rows = [dict.fromkeys(sorted(columns), number * 0.5) for number in range(4)]
+        (folder / f"{name}.csv").write_text(plain_files.csv_text(rows))
+    return folder
+
+
+def main() -> None:
+    """Fuzzes and reports."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--inputs", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    begun = time.perf_counter()
+    with tempfile.TemporaryDirectory() as name:
+        found = fuzz(args.inputs, args.seed, sample_run(Path(name) / "run"))
+    for (kind, fate), number in sorted(found.items()):
+        print(f"{kind:12} {fate:8} {number:6}")
+    seconds = time.perf_counter() - begun
+    print(f"{found.total()} inputs, no traceback, none over {SECONDS} s; {seconds:.0f} s in all")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,272 @@
+"""Stopping and going on: bit for bit the training that never stopped, whatever stopped it."""
+
+import os
+import resource
+import shutil
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pecjax
+from pecjax.agents.networks import NetworkSettings
+from pecjax.agents.q_network import QNetworkSettings
+from pecjax.agents.replay import ReplaySettings
+from pecjax.errors import DivergedError, StoppedError
+from pecjax.experiments import loop, presets, training
+from pecjax.experiments.array_files import BrokenFileError, read_arrays, write_arrays
+from pecjax.experiments.presets import PRESETS
+from pecjax.experiments.run_directory import RunDirectory
+
+FAST, APEX = PRESETS["fast"], PRESETS["apex-fast"]
+SHORT = {"evaluate_every": 2, "evaluation_episodes": 6, "configurations_every": 4, "iterations": 6}
+PPO = replace(
+    FAST,
+    ppo=replace(FAST.ppo, num_envs=8, num_steps=32, num_minibatches=2, network=NetworkSettings(hidden=(8,))),
+    **SHORT,
+)
+APEX = replace(
+    APEX,
+    apex=replace(
+        APEX.apex.with_envs(8),
+        num_steps=128,
+        learning_starts=512,
+        network=QNetworkSettings(trunk=(8,), head=8),
+        replay=ReplaySettings(capacity=4096),
+    ),
+    **SHORT,
+)
+
+
+def arrays(folder, name):
+    with np.load(folder / name) as file:
+        return {key: file[key] for key in file.files if key not in (".seconds", "about")}
+
+
+def assert_same_run(one, other):
+    """All but the time that it took."""
+    for name in ("configurations.csv", "evaluation.csv", "trajectories.csv", "coordinates.csv"):
+        assert (one / name).read_bytes() == (other / name).read_bytes(), name
+    tables = [pd.read_csv(f / "metrics.csv", dtype=str).drop(columns="seconds") for f in (one, other)]
+    pd.testing.assert_frame_equal(*tables)
+    names = [sorted(str(p.relative_to(f)) for p in f.rglob("*.npz")) for f in (one, other)]
+    assert names[0] == names[1]
+    for name in names[0]:
+        first, second = arrays(one, name), arrays(other, name)
+        assert first.keys() == second.keys() and len(first) > 5
+        for key in first:
+            np.testing.assert_array_equal(first[key], second[key], err_msg=f"{name} {key}")
+
+
+@pytest.fixture(scope="module")
+def whole(folders):
+    """(settings, devices) -> the folder of that training, never stopped."""
+    made = {}
+
+    def get(settings, devices):
+        key = (settings, devices)
+        if key not in made:
+            made[key] = folders / f"whole-{len(made)}"
+            training.train(settings, made[key], devices)
+        return made[key]
+
+    return get
+
+
+CASES = [(PPO, "pec", 1), (PPO, "uniform", 2), (APEX, "pec", 2), (APEX, "uniform", 1)]
+
+
+@pytest.mark.parametrize(("settings", "sampler", "devices"), CASES, ids=lambda x: getattr(x, "algorithm", x))
+def test_three_and_three_iterations_are_six(settings, sampler, devices, whole, tmp_path):
+    settings = replace(settings, sampler=sampler)
+    folder = tmp_path / "run"
+    training.train(replace(settings, iterations=3), folder, devices)
+    assert (folder / "summary.json").exists()
+    summary = training.resume(settings, folder)
+    assert_same_run(whole(settings, devices), folder)
+    assert summary["iterations"] == 6
+    directory = RunDirectory(folder)
+    assert directory.settings() == settings and directory.num_devices() == devices
+    seconds = pd.read_csv(folder / "metrics.csv").seconds
+    assert seconds.is_monotonic_increasing
+
+
+@pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("at", [1, 3, 4])
+def test_a_signal_is_seen_to_after_the_iteration(asked, at, whole, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+    before = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+
+    def ask(iteration, *args):
+        if iteration == at:
+            os.kill(os.getpid(), asked)
+        return row(iteration, *args)
+
+    row = loop.tables.metrics_row
+    monkeypatch.setattr(loop.tables, "metrics_row", ask)
+    with pytest.raises(StoppedError, match=f"after iteration {at}; go on with pecjax train --resume") as stop:
+        training.train(PPO, folder, devices=1)
+    assert stop.value.signal == asked and isinstance(stop.value, KeyboardInterrupt)
+    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == before
+    monkeypatch.undo()
+    training.resume(PPO, folder)
+    assert_same_run(whole(PPO, 1), folder)
+
+
+def test_a_second_signal_stops_at_once(tmp_path, monkeypatch):
+    def ask_twice(iteration, *args):
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+        raise AssertionError("was not stopped")
+
+    monkeypatch.setattr(loop.tables, "metrics_row", ask_twice)
+    with pytest.raises(KeyboardInterrupt) as stop:
+        training.train(PPO, tmp_path / "run", devices=1)
+    assert not isinstance(stop.value, StoppedError)
+
+
+@pytest.fixture
+def stopped(whole, tmp_path):
+    """A run whose last checkpoint is of iteration 4 and whose tables were written on."""
+    folder = tmp_path / "run"
+    shutil.copytree(whole(PPO, 1), folder)
+    (folder / "states" / "2.npz").write_bytes((folder / "states" / "4.npz").read_bytes())
+    shutil.rmtree(folder)
+    shutil.copytree(whole(replace(PPO, iterations=5), 1), folder)
+    (folder / "states" / "5.npz").unlink()
+    (folder / "summary.json").unlink()
+    with (folder / "metrics.csv").open("a") as file:
+        file.write("6,1536,0.1")  # half a row
+    return folder
+
+
+def test_rows_after_the_last_checkpoint_are_rolled_back(stopped, whole, capsys):
+    training.resume(PPO, stopped)
+    assert "goes on after iteration 4" in capsys.readouterr().err
+    assert_same_run(whole(PPO, 1), stopped)
+
+
+@pytest.mark.parametrize("damage", ["torn", "empty", "changed", "no archive", "a part missing"])
+def test_a_broken_checkpoint_gives_way_to_the_one_before(damage, whole, tmp_path, capsys):
+    folder = tmp_path / "run"
+    training.train(replace(PPO, iterations=4), folder, devices=1)
+    path = folder / "states" / "4.npz"
+    content = path.read_bytes()
+    if damage == "torn":
+        path.write_bytes(content[: len(content) // 2])
+    elif damage == "empty":
+        path.write_bytes(b"")
+    elif damage == "changed":
+        place = content.index(b"NUMPY") + 2000
+        path.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+    elif damage == "no archive":
+        path.write_bytes(b"\x80\x04cos\nsystem\n(S'touch pwned'\ntR." * 10)  # a pickle, never loaded
+    else:
+        path.unlink()
+    training.resume(PPO, folder)
+    err = capsys.readouterr().err
+    assert "goes on after iteration 2" in err
+    assert ("falling back to the one before" in err) == (damage != "a part missing")
+    assert_same_run(whole(PPO, 1), folder)
+
+
+def test_nothing_to_go_on_from(whole, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(whole(PPO, 1), folder)
+    for path in (folder / "states").iterdir():
+        path.write_bytes(b"torn")
+    with pytest.raises(pecjax.InputError, match=r"6.npz: torn or changed .* train anew"):
+        training.resume(replace(PPO, iterations=8), folder)
+    shutil.rmtree(folder / "states")
+    with pytest.raises(pecjax.InputError, match="no state to go on from"):
+        training.resume(replace(PPO, iterations=8), folder)
+    with pytest.raises(pecjax.InputError, match="no run here"):
+        training.resume(PPO, tmp_path / "nowhere")
+
+
+def test_a_run_at_its_end_has_nowhere_to_go(whole):
+    before = (whole(PPO, 1) / "metrics.csv").read_bytes()
+    with pytest.raises(pecjax.InputError, match="has come to its end at iteration 6"):
+        training.resume(PPO, whole(PPO, 1))
+    assert (whole(PPO, 1) / "metrics.csv").read_bytes() == before
+
+
+def test_another_run_is_refused_and_the_difference_named(whole, tmp_path):
+    other = replace(PPO, alpha=0.5, seed=3, iterations=9)
+    with pytest.raises(pecjax.InputError, match=r"alpha \(0.2 there, 0.5 here\), seed \(0 there, 3 here\)"):
+        training.resume(other, whole(PPO, 1))
+    # A checkpoint that was put into the folder of another run, or into another map.
+    for name, content in (("config.json", b'"alpha": 0.7'), ("scene.xml", b"<!-- changed -->\n<mujoco ")):
+        folder = tmp_path / name
+        shutil.copytree(whole(PPO, 1), folder)
+        text = (folder / name).read_bytes()
+        old = b'"alpha": 0.2' if name == "config.json" else b"<mujoco "
+        (folder / name).write_bytes(text.replace(old, content, 1))
+        settings = replace(RunDirectory(folder).settings(), iterations=9)
+        with pytest.raises(pecjax.InputError, match="alpha" if name == "config.json" else "scene.xml"):
+            training.resume(settings, folder)
+
+
+def test_a_state_of_other_shapes_is_refused(tmp_path):
+    path = tmp_path / "1.npz"
+    write_arrays(path, {"a": np.zeros(3), "b": np.ones((), np.int32)})
+    back = read_arrays(path, {"a": np.empty(3), "b": np.empty((), np.int32)})
+    np.testing.assert_array_equal(back["b"], 1)
+    for like in (
+        {"a": np.empty(4), "b": np.empty((), np.int32)},
+        {"a": np.empty(3)},
+        {"a": np.empty(3, "f4")},
+    ):
+        with pytest.raises(pecjax.InputError, match="differs in"):
+            read_arrays(path, like)
+    np.savez(path, **{"['a']": np.array([{"code": 1}], object)})
+    with pytest.raises(BrokenFileError):
+        read_arrays(path, {"a": np.empty(1)})
+
+
+def test_two_trainings_cannot_share_a_folder(whole):
+    directory = RunDirectory(whole(PPO, 1))
+    with directory.alone(), pytest.raises(pecjax.InputError, match="another process trains here"):
+        training.resume(replace(PPO, iterations=9), directory.folder)
+    with directory.alone():
+        pass  # and is free again
+
+
+@pytest.mark.parametrize("room", [400, 2500, 4000])
+def test_a_disk_that_fills_up_is_said_in_one_line_and_nothing_is_lost(room, whole, tmp_path):
+    folder = tmp_path / "run"
+    whole(PPO, 1)  # compiled, and the cache written
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    training_error = None
+    settings = replace(PPO, configurations_every=1)
+    reference = whole(settings, 1)
+    try:
+        RunDirectory(folder).create(settings, training.load_world(settings)[0], pecjax.COORDINATE_SET_1, 1)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))  # no file may grow beyond it
+        with pytest.raises(pecjax.InputError, match=r"cannot be written .* --resume") as training_error:
+            training._go(settings, RunDirectory(folder), 1, resumed=False)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert "\n" not in str(training_error.value)
+    try:
+        training.resume(settings, folder)
+    except pecjax.InputError as error:
+        assert "no state to go on from" in str(error) and not list(folder.glob("states/[0-9]*"))
+    else:
+        assert_same_run(reference, folder)
+
+
+def test_figures_that_are_not_finite_stop_the_run(tmp_path):
+    settings = replace(PPO, ppo=replace(PPO.ppo, learning_rate=1e30))
+    with pytest.raises(DivergedError, match=r"at iteration \d+ not finite: .*parameters.*checkpoint"):
+        training.train(settings, tmp_path / "run", devices=2)
+    for path in (tmp_path / "run").rglob("*.npz"):
+        for name, array in arrays(path.parent, path.name).items():
+            assert np.isfinite(array).all() or array.dtype.kind not in "f", (path, name)
+
+
+def test_options_beside_resume(whole):
+    settings = presets.override(RunDirectory(whole(PPO, 1)).settings(), alpha=0.2)
+    assert settings == PPO
