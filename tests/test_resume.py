@@ -235,7 +235,7 @@ def test_two_trainings_cannot_share_a_folder(whole):
 
 
 @pytest.mark.parametrize("room", [400, 2500, 4000])
-def test_a_disk_that_fills_up_is_said_in_one_line_and_nothing_is_lost(room, whole, tmp_path):
+def test_a_disk_that_fills_up_is_said_in_one_line_and_nothing_is_lost(room, whole, tmp_path, capsys):
     folder = tmp_path / "run"
     whole(PPO, 1)  # compiled, and the cache written
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

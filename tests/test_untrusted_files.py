@@ -89,7 +89,7 @@ def test_a_map_that_includes_itself(edited_rooms, tmp_path):
         (('resolution="16 12"', 'resolution="90000 90000"'), "resolution"),
         (("<worldbody>", "<worldbody>" + "<!-- x -->" * 200_000), "larger than"),
         (("<worldbody>", "<worldbody>" + '<site size="1"/>' * 21_000), "elements"),
-        (('name="west_b" ', 'name="west_b" pos="nan 0 0" '), ""),
+        (("<worldbody>", '<worldbody><geom type="box" size="1 1 1" pos="nan 0 0"/>'), "geom_pos|compile"),
     ],
 )
 def test_absurd_amounts_are_refused_at_once(replacement, words, edited_rooms):

@@ -129,7 +129,7 @@ PRESETS: dict[str, RunSettings] = {
         ppo=PPOSettings(num_envs=256, network=NetworkSettings(encoder="cnn", hidden=(64, 64))),
         resolution=(64, 48),
     ),
-    "apex-fast": RunSettings(preset="apex-fast", algorithm="apex", iterations=350, evaluate_every=25),
+    "apex-fast": RunSettings(preset="apex-fast", algorithm="apex", iterations=450, evaluate_every=25),
     "apex-rllib085": RunSettings(
         preset="apex-rllib085",
         algorithm="apex",

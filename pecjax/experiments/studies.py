@@ -66,7 +66,7 @@ STUDIES: dict[str, dict[str, StudySettings]] = {
     },
     "fig14": {
         "smoke": _study("fig14", _APEX_SMOKE, None, 2),
-        "laptop": _study("fig14", _APEX, None, 5),
+        "laptop": _study("fig14", _APEX, 350, 5),
         "paper": _study("fig14", PRESETS["apex-rllib085"], 2000, 3),
     },
 }

@@ -257,7 +257,7 @@ def alphas(tables: StudyTables) -> Figure:
     results = tables.results[tables.results.iteration == last].set_index(["alpha", "seed"])
     figure = Figure((9.6, 3.6), layout="constrained")
     panels = {
-        "failure ratio in training, since the beginning": {"mean over configurations": failures},
+        "failure ratio since the beginning": {"mean over configurations": failures},
         "goal ratio, last uniform evaluation": {
             "all configurations": results.goal_ratio,
             "worst tenth (CVaR)": results.cvar,

@@ -103,9 +103,13 @@ def load_scene(path: str | Path | None = None, resolution: tuple[int, int] | Non
     if resolution is not None:
         model.cam_resolution[:] = resolution
     wall_lower, wall_upper, wall_names = _walls(path, model)
+    try:
+        physics = mjx.put_model(_without_actuation(model))
+    except NotImplementedError as error:
+        raise InputError(f"{path}: MJX cannot simulate it: {error}") from error
     return Scene(
         model=model,
-        physics=mjx.put_model(_without_actuation(model)),
+        physics=physics,
         wall_lower=wall_lower,
         wall_upper=wall_upper,
         wall_names=wall_names,
