@@ -21,6 +21,7 @@ from pathlib import Path
 
 import jax
 import learning
+import runs
 import workloads as w
 from workloads import Workload
 
@@ -29,6 +30,7 @@ from pecjax.agents.apex_update import ApexSettings
 from pecjax.agents.ppo_update import PPOSettings
 from pecjax.curriculum import pec, uniform
 from pecjax.experiments.devices import use_all_cores
+from pecjax.experiments.presets import PRESETS
 from pecjax.experiments.provenance import environment_facts
 
 Group = dict[str, Workload]
@@ -141,6 +143,26 @@ def replay_growth() -> Group:
     return group
 
 
+def studies() -> Group:
+    """One training, and studies of several α in slices of so many runs."""
+    env = pecjax.RoomsNavigation(pecjax.load_scene())
+    sampler = pec(pecjax.COORDINATE_SET_1.size)
+    group = {"training, one run": learning.training(env, sampler, w.device_mesh(), PPOSettings())}
+    for number, at_once in ((2, 2), (5, 2), (4, 4)):
+        alphas = tuple(0.1 * k for k in range(number))
+        group[f"study of {number} α, {at_once} runs at once"] = runs.study(alphas, at_once)
+    return group
+
+
+def checkpoints() -> Group:
+    """The iterations from one checkpoint to the next, and the checkpoint."""
+    group: Group = {}
+    for name in ("fast", "apex-fast"):
+        interval, checkpoint = runs.checkpointing(PRESETS[name])
+        group |= {f"{name}: an interval's iterations": interval, f"{name}: its checkpoint": checkpoint}
+    return group
+
+
 GROUPS: dict[str, Callable[[], Group]] = {
     "training": training_parts,
     "environments": environment_counts,
@@ -151,6 +173,8 @@ GROUPS: dict[str, Callable[[], Group]] = {
     "curricula": large_curricula,
     "apex": apex_training,
     "replay": replay_growth,
+    "studies": studies,
+    "checkpoints": checkpoints,
 }
 
 

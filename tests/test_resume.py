@@ -17,6 +17,7 @@ from pecjax.agents.replay import ReplaySettings
 from pecjax.errors import DivergedError, StoppedError
 from pecjax.experiments import loop, presets, training
 from pecjax.experiments.array_files import BrokenFileError, read_arrays, write_arrays
+from pecjax.experiments.plain_files import alone
 from pecjax.experiments.presets import PRESETS
 from pecjax.experiments.run_directory import RunDirectory
 
@@ -227,10 +228,10 @@ def test_a_state_of_other_shapes_is_refused(tmp_path):
 
 
 def test_two_trainings_cannot_share_a_folder(whole):
-    directory = RunDirectory(whole(PPO, 1))
-    with directory.alone(), pytest.raises(pecjax.InputError, match="another process trains here"):
-        training.resume(replace(PPO, iterations=9), directory.folder)
-    with directory.alone():
+    folder = whole(PPO, 1)
+    with alone(folder), pytest.raises(pecjax.InputError, match="another process trains here"):
+        training.resume(replace(PPO, iterations=9), folder)
+    with alone(folder):
         pass  # and is free again
 
 

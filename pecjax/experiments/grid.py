@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from itertools import zip_longest
+from pathlib import Path
 from typing import NamedTuple
 
 from pecjax.errors import InputError
@@ -59,6 +60,9 @@ class StudySettings:
             twice = sorted({str(value) for value in values if values.count(value) > 1})
             if twice:
                 raise InputError(f"{name} names {', '.join(twice)} more than once; name each once")
+        stems = [Path(name).stem for name in self.coordinates]
+        if len(set(stems)) < len(stems):
+            raise InputError(f"coordinates: {', '.join(self.coordinates)} need names that differ; rename one")
         if self.at_once < 1:
             raise InputError(f"at-once is {self.at_once}; it must be at least 1")
         if self.run.until_goal_ratio is not None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import fcntl
 import io
 import json
 import os
@@ -96,6 +98,24 @@ def check_free(folder: Path) -> None:
     nearest = next(p for p in (folder, *folder.absolute().parents) if p.exists())
     if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
         raise InputError(f"{folder}: {nearest} cannot be written; give another folder with --out")
+
+
+@contextlib.contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Keeps other processes from writing a run or a study into the folder at the same time.
+
+    Raises:
+        InputError: one does already.
+    """
+    place = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)  # gone with the process, however it ends
+        except BlockingIOError as error:
+            raise InputError(f"{folder}: another process trains here; wait for its end") from error
+        yield
+    finally:
+        os.close(place)
 
 
 _HELD = {"config.json": "holds another run", "study.json": "holds a study"}

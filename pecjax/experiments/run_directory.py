@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import fcntl
 import hashlib
 import importlib.metadata
 import json
-import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -119,23 +116,6 @@ class RunDirectory:
             "coordinates.csv": hashlib.sha256((self.folder / "coordinates.csv").read_bytes()).hexdigest(),
             "version": importlib.metadata.version("pecjax"),
         }
-
-    @contextlib.contextmanager
-    def alone(self) -> Iterator[None]:
-        """Keeps other processes from training in the folder at the same time.
-
-        Raises:
-            InputError: one does already.
-        """
-        place = os.open(self.folder, os.O_RDONLY)
-        try:
-            try:
-                fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)  # gone with the process, however it ends
-            except BlockingIOError as error:
-                raise InputError(f"{self.folder}: another process trains here; wait for its end") from error
-            yield
-        finally:
-            os.close(place)
 
 
 def _what_matters(settings: RunSettings) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from pecjax.experiments.assembly import load_world
 from pecjax.experiments.evaluation import Flights
 from pecjax.experiments.grid import Member, StudySettings
 from pecjax.experiments.measures import cvar
-from pecjax.experiments.plain_files import Row
+from pecjax.experiments.plain_files import Row, alone
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.study_directory import StudyDirectory, Tables
 from pecjax.experiments.study_program import Program, make_program
@@ -36,10 +36,10 @@ def run_study(settings: StudySettings, folder: Path) -> None:
         name: load_world(dataclasses.replace(settings.run, coordinates=name)) for name in settings.coordinates
     }
     directory = StudyDirectory(folder)
-    lines = directory.open(settings, worlds, len(jax.devices()))
+    directory.open(settings, worlds, len(jax.devices()))
     slices = settings.slices()
-    with Progress(sum(map(len, slices)) * settings.run.iterations) as progress:
-        for line in lines:
+    with alone(folder), Progress(sum(map(len, slices)) * settings.run.iterations) as progress:
+        for line in directory.verify(len(slices)):
             progress.say(line)
         key, program = None, None
         for number, members in enumerate(slices):

@@ -63,11 +63,8 @@ class StudyDirectory:
     def _coordinates_path(self, coordinates: str) -> Path:
         return self.folder / f"coordinates-{Path(coordinates).stem}.csv"
 
-    def open(self, settings: StudySettings, worlds: dict[str, World], num_devices: int) -> list[str]:
+    def open(self, settings: StudySettings, worlds: dict[str, World], num_devices: int) -> None:
         """Begins a study, or makes sure that the folder holds this very one.
-
-        Returns:
-            lines that say what was found, and what of it has to be made again.
 
         Raises:
             InputError: the folder holds something else (another study, or this one begun with other
@@ -77,19 +74,21 @@ class StudyDirectory:
         files = {"scene.xml": plain_files.scene_text(next(iter(worlds.values()))[0])}
         for coordinates, (_, _, table) in worlds.items():
             files[self._coordinates_path(coordinates).name] = plain_files.coordinates_text(table)
-        if not (self.folder / "study.json").is_file():
+        if (self.folder / "study.json").is_file():
+            self._compare(json.loads(plain_files.json_text(content)), files)
+        else:
             plain_files.check_free(self.folder)
             self._create(content, files)
-            return [f"{self.folder}: {len(settings.slices())} slices of {settings.at_once} runs at most"]
-        self._compare(json.loads(plain_files.json_text(content)), files)
-        return list(self._verify(len(settings.slices())))
 
     def _create(self, content: dict[str, Any], files: dict[str, str]) -> None:
+        new = self.folder.with_name(f".{self.folder.name}.new")
         try:
-            self._slices.mkdir(parents=True, exist_ok=True)
+            shutil.rmtree(new, ignore_errors=True)
+            (new / "slices").mkdir(parents=True)
             for name, text in files.items():
-                (self.folder / name).write_text(text)
-            plain_files.replace_file(self.folder / "study.json", plain_files.json_text(content))
+                (new / name).write_text(text)
+            (new / "study.json").write_text(plain_files.json_text(content))
+            os.replace(new, self.folder)  # whole or not there: a study can be killed at any moment
         except OSError as error:
             raise InputError(
                 f"{self.folder}: cannot be written ({error.strerror}); choose another --out"
@@ -113,8 +112,12 @@ class StudyDirectory:
                 "give another folder with --out"
             )
 
-    def _verify(self, number: int) -> Iterator[str]:
-        """Removes slices that are not what was written, and counts the rest."""
+    def verify(self, number: int) -> Iterator[str]:
+        """Removes slices that are not what was written; yields lines that say what was found.
+
+        Args:
+            number: of slices that the study is made of.
+        """
         self._slices.mkdir(exist_ok=True)
         for left_over in self._slices.glob(".*"):  # written when the study was stopped
             shutil.rmtree(left_over)
@@ -123,7 +126,7 @@ class StudyDirectory:
                 shutil.rmtree(path)
                 yield f"{path}: not as it was written; made again"
         there = sum(self.holds(n) for n in range(number))
-        yield f"{self.folder}: goes on; {there} of {number} slices are there"
+        yield f"{self.folder}: {there} of {number} slices are there"
 
     def holds(self, number: int) -> bool:
         """Whether that slice is finished."""

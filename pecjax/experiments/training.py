@@ -16,7 +16,7 @@ from pecjax.experiments.checkpoint import Checkpoints, Position
 from pecjax.experiments.devices import choose_num_devices
 from pecjax.experiments.interruption import Interruption
 from pecjax.experiments.loop import Clock, Iterate, Session, is_counted, is_evaluated, loop
-from pecjax.experiments.plain_files import check_free
+from pecjax.experiments.plain_files import alone, check_free
 from pecjax.experiments.presets import RunSettings, check_settings
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.run_directory import RunDirectory
@@ -80,9 +80,9 @@ def resume(settings: RunSettings, folder: Path, devices: int | None = None) -> d
     differing = directory.differences(settings)
     if differing:
         raise InputError(f"{folder}: holds a run that differs in {', '.join(differing)}; leave these out")
-    wanted = devices or directory.num_devices()
-    there = len(jax.devices())
-    num_devices = choose_num_devices(wanted if wanted and wanted <= there else None, settings.learner.shares)
+    if devices is None and (directory.num_devices() or 0) <= len(jax.devices()):
+        devices = directory.num_devices()
+    num_devices = choose_num_devices(devices, settings.learner.shares)
     return _go(settings, directory, num_devices, resumed=True)
 
 
@@ -90,7 +90,7 @@ def _go(settings: RunSettings, directory: RunDirectory, num_devices: int, resume
     scene = load_scene(directory.scene_path, settings.resolution)
     run = build(settings, scene, directory.table(), num_devices)
     folder = directory.folder
-    with directory.alone(), Progress(settings.iterations) as progress, Interruption() as interruption:
+    with alone(folder), Progress(settings.iterations) as progress, Interruption() as interruption:
         progress.say(f"{folder}: {settings.learner.num_envs} environments on {num_devices} device(s)")
         if run.agent.replay_bytes:
             progress.say(f"replay: {run.agent.replay_bytes / 1e6:,.0f} MB")
