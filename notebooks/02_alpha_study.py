@@ -56,7 +56,8 @@ print(study_report.write_report(folder))
 
 # %%
 results = pd.read_csv(folder / "results.csv")
-results.groupby("alpha")[["goal_ratio", "cvar"]].last()
+last = results[results.iteration == results.iteration.max()]
+last.groupby("alpha")[["goal_ratio", "cvar"]].mean()
 
 # %%
 study_figures.draw_study(folder)
@@ -75,7 +76,7 @@ def show(alphas: tuple[float, ...], seeds: tuple[int, ...]) -> None:
     display(study_figures.goal_ratio(study_report.StudyTables(*chosen)))
 
 
-ipywidgets.interact(
+ipywidgets.interactive(
     show,
     alphas=ipywidgets.SelectMultiple(options=study.alphas, value=study.alphas[::2], description="α"),
     seeds=ipywidgets.SelectMultiple(options=study.seeds, value=study.seeds, description="seeds"),

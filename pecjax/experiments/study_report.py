@@ -139,7 +139,7 @@ def write_report(folder: Path) -> str:
     for name, rows in (("runs", runs.to_dict("records")), ("summary", summaries), ("paired", differences)):
         plain_files.replace_file(folder / f"{name}.csv", plain_files.csv_text(rows))
     lines = [
-        f"set {row['coordinates']}, {row['condition']}, {row['seeds']} seeds: goal ratio "
+        f"set {Path(row['coordinates']).stem}, {row['condition']}, {row['seeds']} seeds: goal ratio "
         f"{row['goal_ratio']:.3f} [{row['goal_ratio_low']:.3f}, {row['goal_ratio_high']:.3f}], worst tenth "
         f"{row['cvar']:.3f} [{row['cvar_low']:.3f}, {row['cvar_high']:.3f}]; 0.9 held from "
         f"{_millions(row['steps_until_0.9_median'])}, 0.95 from {_millions(row['steps_until_0.95_median'])}"
