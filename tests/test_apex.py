@@ -34,7 +34,7 @@ class TwoStates:
         room = (heading > 0).astype(jnp.int32)
         zero = jnp.zeros(())
         info = {"config": config, "step_count": jnp.zeros((), jnp.int32)}
-        return State(room, {}, zero, zero, {"goal": zero}, info)
+        return State(room, {}, zero, zero, {"goal": zero, "unstable": zero}, info)
 
     def observe(self, state):
         room = state.pipeline_state.astype(jnp.float32)
@@ -46,7 +46,11 @@ class TwoStates:
         done = (on & (room == 1)).astype(jnp.float32)
         info = state.info | {"step_count": state.info["step_count"] + 1}
         return state.replace(
-            pipeline_state=jnp.where(on, 1, room), reward=reward, done=done, metrics={"goal": done}, info=info
+            pipeline_state=jnp.where(on, 1, room),
+            reward=reward,
+            done=done,
+            metrics={"goal": done, "unstable": jnp.zeros(())},
+            info=info,
         )
 
 

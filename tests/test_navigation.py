@@ -236,3 +236,18 @@ def test_reset_to_starts_in_the_configuration_given(env):
 def test_control_period_must_be_a_multiple_of_the_physics_step(scene):
     with pytest.raises(pecjax.InputError, match=r"0\.05 s is not a multiple"):
         pecjax.RoomsNavigation(scene, settings=pecjax.NavigationSettings(control_period=0.05))
+
+
+@pytest.mark.parametrize("speed", [np.nan, np.inf, 1e12])
+def test_physics_that_blows_up_is_a_collision_and_stays_where_it_was(speed, env):
+    state = jax.vmap(env.reset)(jax.random.split(jax.random.key(3), 3))
+    broken = state.pipeline_state.qvel.at[1, 0].set(speed)
+    spoilt = state.replace(pipeline_state=state.pipeline_state._replace(qvel=broken))
+    after, alone = (jax.jit(jax.vmap(env.step))(s, jnp.full(3, 12)) for s in (spoilt, state))
+    assert after.done[1] == after.metrics["collision"][1] == after.metrics["unstable"][1] == 1
+    assert after.reward[1] == -1001 and np.isfinite(after.obs["depth"]).all()
+    np.testing.assert_array_equal(after.pipeline_state.qpos[1], state.pipeline_state.qpos[1])
+    # The others know nothing of it.
+    for row in (0, 2):
+        assert after.metrics["unstable"][row] == 0
+        jax.tree.map(lambda a, b, k=row: np.testing.assert_array_equal(a[k], b[k]), after, alone)

@@ -81,7 +81,7 @@ def are_finite(parts: dict[str, Any], axis_name: str | None) -> dict[str, jax.Ar
 
     def of_part(part: Any) -> jax.Array:
         leaves = [leaf for leaf in jax.tree.leaves(part) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-        return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
+        return jnp.all(jnp.array([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
 
     finite = {name: of_part(part) for name, part in parts.items()}
     if axis_name is None:

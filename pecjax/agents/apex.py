@@ -17,7 +17,7 @@ from pecjax.agents.returns import n_step_return
 from pecjax.agents.rollout import Episodes, Fleet, Trajectory, global_ids, launch, rollout
 from pecjax.curriculum.sampler import Sampler
 from pecjax.world.coordinates import Configurations
-from pecjax.world.navigation import RoomsNavigation, drone_state, observation
+from pecjax.world.navigation import RoomsNavigation, observation
 
 
 class Recent(NamedTuple):
@@ -161,7 +161,7 @@ def make(
         # RLlib 0.8.5 reports the last third of its actors, rounded up (`agents/dqn/apex.py`).
         watched = env_ids % settings.num_actors >= settings.num_actors + (-settings.num_actors // 3)
         sampler_state = sampler.update(state.sampler, episodes.outcomes, axis_name)
-        parts = terms | {"parameters": learner.params, "physics": drone_state(actors.fleet.state)}
+        parts = terms | {"parameters": learner.params, "physics": actors.fleet.state.pipeline_state}
         metrics = summarize(episodes, are_finite(parts, axis_name), losses, table.size, axis_name, watched)
         return TrainState(learner, sampler_state, actors, key), metrics
 

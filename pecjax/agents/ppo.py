@@ -13,7 +13,7 @@ from pecjax.agents.ppo_update import Learner, PPOSettings, make_optimizer, prepa
 from pecjax.agents.rollout import global_ids, launch, rollout
 from pecjax.curriculum.sampler import Sampler
 from pecjax.world.coordinates import Configurations
-from pecjax.world.navigation import RoomsNavigation, drone_state, observation
+from pecjax.world.navigation import RoomsNavigation, observation
 
 
 def make(
@@ -69,7 +69,7 @@ def make(
         batch = prepare(settings, trajectory, last_value, axis_name)
         learner, losses = update(network, optimizer, settings, learner, batch, key_update, axis_name)
         sampler_state = sampler.update(state.sampler, episodes.outcomes, axis_name)
-        parts = losses | {"parameters": learner.params, "physics": drone_state(fleet.state)}
+        parts = losses | {"parameters": learner.params, "physics": fleet.state.pipeline_state}
         metrics = summarize(episodes, are_finite(parts, axis_name), losses, table.size, axis_name)
         return TrainState(learner, sampler_state, fleet, key), metrics
 
