@@ -28,16 +28,13 @@ from pathlib import Path
 
 import jax
 
-from pecjax.agents.networks import NetworkSettings
 from pecjax.experiments import training
-from pecjax.experiments.presets import PRESETS
+from pecjax.experiments.studies import find_study
 
 jax.config.update("jax_compilation_cache_dir", sys.argv[2])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-fast = PRESETS["fast"]
 settings = replace(
-    fast,
-    ppo=replace(fast.ppo, num_envs=8, num_steps=32, num_minibatches=2, network=NetworkSettings(hidden=(8,))),
+    find_study("fig4", "smoke").run,
     iterations=int(sys.argv[3]), evaluate_every=4, evaluation_episodes=3, configurations_every=3,
 )
 folder = Path(sys.argv[1])
@@ -60,7 +57,8 @@ def digest(folder: Path) -> dict[str, str]:
         found[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
     metrics = pd.read_csv(folder / "metrics.csv", dtype=str).drop(columns="seconds")
     found["metrics.csv"] = hashlib.sha256(metrics.to_csv().encode()).hexdigest()
-    for path in sorted(folder.rglob("[0-9]*.npz")):
+    newest = max((folder / "states").glob("*.npz"), key=lambda path: int(path.stem))
+    for path in (*sorted((folder / "checkpoints").glob("*.npz")), newest):
         with np.load(path) as file:
             parts = [file[name].tobytes() for name in file.files if name not in (".seconds", "about")]
         found[str(path.relative_to(folder))] = hashlib.sha256(b"".join(parts)).hexdigest()
@@ -75,7 +73,7 @@ def rows(folder: Path) -> int:
 def kill_and_go_on(folder: Path, cache: Path, iterations: int, kills: int, rng: random.Random) -> int:
     """Trains to the end through so many kills; returns how many struck before it."""
     done, said = 0, folder.with_suffix(".err")
-    while True:
+    while not (folder / "states" / f"{iterations}.npz").exists():  # the last that a training writes
         with said.open("w") as file:  # a pipe that nobody empties would hold it up
             process = subprocess.Popen(command(folder, cache, iterations), stderr=file)
         if done < kills:
@@ -91,7 +89,7 @@ def kill_and_go_on(folder: Path, cache: Path, iterations: int, kills: int, rng: 
                 done += 1
                 continue
         assert process.wait() == 0, said.read_text()[-2000:]
-        return done
+    return done
 
 
 def main() -> None:

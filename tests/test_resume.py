@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 
 import pecjax
-from pecjax.agents.networks import NetworkSettings
 from pecjax.agents.q_network import QNetworkSettings
 from pecjax.agents.replay import ReplaySettings
 from pecjax.errors import DivergedError, StoppedError
@@ -20,14 +19,11 @@ from pecjax.experiments.array_files import BrokenFileError, read_arrays, write_a
 from pecjax.experiments.plain_files import alone
 from pecjax.experiments.presets import PRESETS
 from pecjax.experiments.run_directory import RunDirectory
+from pecjax.experiments.studies import find_study
 
-FAST, APEX = PRESETS["fast"], PRESETS["apex-fast"]
+APEX = PRESETS["apex-fast"]
 SHORT = {"evaluate_every": 2, "evaluation_episodes": 6, "configurations_every": 4, "iterations": 6}
-PPO = replace(
-    FAST,
-    ppo=replace(FAST.ppo, num_envs=8, num_steps=32, num_minibatches=2, network=NetworkSettings(hidden=(8,))),
-    **SHORT,
-)
+PPO = replace(find_study("fig4", "smoke").run, **SHORT)
 APEX = replace(
     APEX,
     apex=replace(

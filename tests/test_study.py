@@ -1,7 +1,10 @@
 """Studies: what a grid is cut into, that its runs are true ones, and that stopping loses nothing."""
 
 import hashlib
+import os
+import resource
 import shutil
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -9,22 +12,17 @@ import pandas as pd
 import pytest
 
 import pecjax
-from pecjax.agents.networks import NetworkSettings
+from pecjax.errors import DivergedError, StoppedError
 from pecjax.experiments import study_directory, study_figures, study_report, training
 from pecjax.experiments.grid import Member, StudySettings
-from pecjax.experiments.presets import PRESETS
+from pecjax.experiments.progress import Progress
 from pecjax.experiments.studies import SCALES, STUDIES, find_study
 from pecjax.experiments.study import run_study
 from pecjax.experiments.study_directory import StudyDirectory
+from pecjax.experiments.study_program import make_program
 
-FAST = PRESETS["fast"]
-TINY = replace(
-    FAST,
-    ppo=replace(FAST.ppo, num_envs=8, num_steps=64, num_minibatches=2, network=NetworkSettings(hidden=(8,))),
-    iterations=3,
-    evaluate_every=2,
-    evaluation_episodes=7,
-)
+SMOKE = find_study("fig4", "smoke").run
+TINY = replace(SMOKE, ppo=replace(SMOKE.ppo, num_steps=64), iterations=3, evaluation_episodes=7)
 TABLES = ("results", "metrics", "configurations")
 
 
@@ -40,6 +38,21 @@ def near_goals(folders):
 def settings(near_goals):
     run = replace(TINY, coordinates=near_goals)
     return StudySettings("tiny", run, alphas=(0.0, 3.0), coordinates=(near_goals,), seeds=(4, 7))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def programs_once():
+    """Each program is compiled once for all tests: a run's settings and their number name it."""
+    made = {}
+
+    def make_once(run, scene, table, runs):
+        if (run, runs) not in made:
+            made[run, runs] = make_program(run, scene, table, runs)
+        return made[run, runs]
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("pecjax.experiments.study.make_program", make_once)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -161,7 +174,7 @@ def test_the_same_seed_begins_alike_under_every_sampler(study):
     assert first.mean_return.nunique() == 2  # and differently under another seed
 
 
-class StoppedError(Exception):
+class KilledError(Exception):
     """Stands for whatever kills a study."""
 
 
@@ -175,11 +188,11 @@ def test_a_study_that_was_stopped_ends_byte_for_byte_the_same(
     def stop(self, number, tables):
         if number == finished:
             (self.folder / "slices" / f".{number:04}").mkdir()  # as a kill in the middle would leave it
-            raise StoppedError
+            raise KilledError
         write(self, number, tables)
 
     monkeypatch.setattr(StudyDirectory, "write_slice", stop)
-    with pytest.raises(StoppedError):
+    with pytest.raises(KilledError):
         run_study(settings, folder)
     monkeypatch.setattr(StudyDirectory, "write_slice", write)
     there = sorted((folder / "slices").glob("0*/results.csv"))
@@ -190,6 +203,45 @@ def test_a_study_that_was_stopped_ends_byte_for_byte_the_same(
     assert f"{finished} of 3 slices are there" in capsys.readouterr().err
     assert digests(folder) == digests(study)
     assert [path.stat().st_mtime_ns for path in there] == before  # what was finished was not repeated
+
+
+@pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_a_study_between_evaluations(asked, study, settings, tmp_path, monkeypatch):
+    advance = Progress.advance
+
+    def interrupt(self, iterations, figures):
+        os.kill(os.getpid(), asked)
+        advance(self, iterations, figures)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Progress, "advance", interrupt)
+        with pytest.raises(StoppedError, match="the same command goes on") as stop:
+            run_study(settings, tmp_path / "study")
+    assert stop.value.signal == asked
+    run_study(settings, tmp_path / "study")
+    assert digests(tmp_path / "study") == digests(study)
+
+
+def test_a_full_disk_is_said_and_the_study_goes_on_afterwards(study, settings, tmp_path):
+    folder = tmp_path / "study"
+    shutil.copytree(study, folder)
+    shutil.rmtree(folder / "slices" / "0001")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))  # no file may grow beyond it
+    try:
+        with pytest.raises(pecjax.InputError, match=r"cannot be written .* goes on"):
+            run_study(settings, folder)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    run_study(settings, folder)
+    assert digests(folder) == digests(study)
+
+
+def test_figures_that_are_not_finite_stop_a_study(settings, tmp_path):
+    run = replace(settings.run, ppo=replace(settings.run.ppo, learning_rate=1e30))
+    with pytest.raises(DivergedError, match=r"sampler pec, alpha 0\.0, seed 4: at iteration \d .*parameters"):
+        run_study(replace(settings, run=run), tmp_path / "study")
+    assert not list((tmp_path / "study" / "slices").iterdir())
 
 
 def test_a_finished_study_only_gathers(study, settings, monkeypatch):

@@ -10,22 +10,21 @@ import pytest
 from matplotlib.image import imread
 
 import pecjax
-from pecjax.agents.networks import NetworkSettings
 from pecjax.agents.replay import ReplaySettings
 from pecjax.experiments import assembly, presets, run_figures, training
 from pecjax.experiments.checkpoint import Checkpoints
 from pecjax.experiments.evaluation import goal_ratios
 from pecjax.experiments.presets import PRESETS
 from pecjax.experiments.run_directory import RunDirectory
+from pecjax.experiments.studies import find_study
 from pecjax.experiments.trained import open_run
 from pecjax.world.scene import load_scene
 
-FAST = PRESETS["fast"]
+SMOKE = find_study("fig4", "smoke").run
 TINY = replace(
-    FAST,
-    ppo=replace(FAST.ppo, num_envs=8, num_steps=64, num_minibatches=2, network=NetworkSettings(hidden=(8,))),
+    SMOKE,
+    ppo=replace(SMOKE.ppo, num_steps=64),
     iterations=5,
-    evaluate_every=2,
     evaluation_episodes=6,
     configurations_every=2,
 )

@@ -55,6 +55,11 @@ class Metrics(NamedTuple):
     finite: dict[str, jax.Array]
     losses: dict[str, jax.Array]
 
+    @property
+    def broken(self) -> list[str]:
+        """The names of what is not finite, once the figures are the host's."""
+        return [name for name, finite in self.finite.items() if not finite]
+
 
 class Agent(NamedTuple):
     """A learner, a sampler and their environments as pure functions.

@@ -15,7 +15,7 @@ from pecjax.errors import InputError
 # Colours that stay apart in grey (Okabe & Ito).
 TRIALS, FAILURES, GOAL, PATH = "#9fb8cc", "#a0330f", "#00573f", "#1f5f99"
 LEARNERS = {"ppo": "PPO", "apex": "Ape-X DQN"}
-SNAPSHOTS = 4  # iterations shown side by side, as in the paper's Fig. 5
+SMOOTHED_ITERATIONS = 20  # that a smoothed training goal ratio is the mean of
 
 matplotlib.rcParams["svg.hashsalt"] = "pecjax"
 
@@ -52,28 +52,3 @@ def steps_axis(axes: Axes, batch: float) -> None:
     """An axis of environment steps above one of iterations of `batch` steps."""
     to_steps: tuple[Callable, Callable] = (lambda i: i * batch / 1e6, lambda s: s / batch * 1e6)
     axes.secondary_xaxis("top", functions=to_steps).set_xlabel("environment steps (millions)")
-
-
-def trials_and_failures(axes: Axes, rows: pd.DataFrame) -> Axes:
-    """Bars of the trial ratio and a line of the failure ratio by configuration (Fig. 5).
-
-    Args:
-        rows: columns config, trials and failures, of one iteration.
-
-    Returns:
-        the axes of the failure ratio, on the right.
-    """
-    twin = axes.twinx()
-    axes.bar(rows.config, rows.trials / max(rows.trials.sum(), 1), color=TRIALS, label="trial ratio")
-    ratio = rows.failures / rows.trials.where(rows.trials > 0)
-    twin.plot(rows.config, ratio, "o-", color=FAILURES, markersize=3, linewidth=1, label="failure ratio")
-    twin.set_ylim(0, 1)
-    axes.set_xlabel("configuration c")
-    return twin
-
-
-def snapshots(iterations: list[int]) -> list[int]:
-    """Those of the iterations that lie nearest to even parts of the whole."""
-    last = iterations[-1]
-    wanted = [last * part / SNAPSHOTS for part in range(1, SNAPSHOTS + 1)]
-    return sorted({min(iterations, key=lambda i: abs(i - w)) for w in wanted})

@@ -128,11 +128,10 @@ def loop(session: Session, here: Position, iterate: Iterate) -> dict[str, Any]:
 
 
 def _check_finite(metrics: Metrics, iteration: int, saved: int, directory: RunDirectory) -> None:
-    broken = [name for name, finite in metrics.finite.items() if not finite]
-    if broken:
+    if metrics.broken:
         good = f"iteration {saved} is the last good checkpoint" if saved else "there is no checkpoint yet"
         raise DivergedError(
-            f"{directory.folder}: at iteration {iteration} not finite: {', '.join(broken)}; {good}"
+            f"{directory.folder}: at iteration {iteration} not finite: {', '.join(metrics.broken)}; {good}"
         )
 
 

@@ -10,8 +10,9 @@ import json
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import cattrs
 import mujoco
 import numpy as np
 
@@ -19,6 +20,7 @@ from pecjax.errors import InputError
 from pecjax.world.coordinates import Configurations
 
 Row = dict[str, Any]
+Settings = TypeVar("Settings")
 
 
 def csv_text(rows: Iterable[Row], header: bool = True) -> str:
@@ -42,6 +44,25 @@ def _plain(value: Any) -> Any:
 def json_text(content: dict[str, Any]) -> str:
     """One JSON object, for people to read too."""
     return json.dumps(content, indent=2) + "\n"
+
+
+def read_settings(path: Path, kind: type[Settings], what: str) -> Settings:
+    """Reads the settings back that a file was written with.
+
+    Args:
+        what: a run or a study; what the folder is said to lack.
+
+    Raises:
+        InputError: the file is missing, or this version cannot read it.
+    """
+    if not path.is_file():
+        raise InputError(f"{path.parent}: no {what} here ({path.name} is missing); give a {what}'s folder")
+    try:
+        return cattrs.structure(json.loads(path.read_text())["settings"], kind)
+    except (ValueError, KeyError, TypeError, cattrs.BaseValidationError) as error:
+        raise InputError(
+            f"{path}: cannot be read as a {what}'s settings ({error}); give another {what}"
+        ) from error
 
 
 def coordinates_text(table: Configurations) -> str:

@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-import cattrs
-
 from pecjax.errors import InputError
 from pecjax.experiments import plain_files
 from pecjax.experiments.presets import RunSettings
@@ -51,15 +49,7 @@ class RunDirectory:
         Raises:
             InputError: the folder holds no run, or one that this version cannot read.
         """
-        path = self.folder / "config.json"
-        if not path.is_file():
-            raise InputError(f"{self.folder}: no run here (config.json is missing); give a run's folder")
-        try:
-            return cattrs.structure(json.loads(path.read_text())["settings"], RunSettings)
-        except (ValueError, KeyError, TypeError, cattrs.BaseValidationError) as error:
-            raise InputError(
-                f"{path}: cannot be read as a run's settings ({error}); give another run"
-            ) from error
+        return plain_files.read_settings(self.folder / "config.json", RunSettings, "run")
 
     def table(self) -> Configurations:
         """Reads the configurations back."""

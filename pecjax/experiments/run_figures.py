@@ -7,23 +7,22 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
+from pecjax.experiments.configuration_figure import configurations
 from pecjax.experiments.drawing import (
     FAILURES,
     GOAL,
     LEARNERS,
     PATH,
+    SMOOTHED_ITERATIONS,
     TRIALS,
     read_table,
     save,
-    snapshots,
     steps_axis,
-    trials_and_failures,
 )
 from pecjax.experiments.map_figure import rooms
 from pecjax.experiments.run_directory import RunDirectory
 from pecjax.world.scene import load_scene
 
-SMOOTHED_ITERATIONS = 20
 _COLUMNS = {
     "metrics": {"iteration", "env_steps", "goal_ratio"},
     "configurations": {"iteration", "config", "trials", "failures"},
@@ -81,21 +80,6 @@ def goal_ratio(metrics: pd.DataFrame, evaluation: pd.DataFrame, greedy: bool) ->
     axes.legend(loc="lower right", fontsize=8)
     axes.grid(alpha=0.3)
     steps_axis(axes, metrics.env_steps.iloc[0] / metrics.iteration.iloc[0])
-    return figure
-
-
-def configurations(table: pd.DataFrame) -> Figure:
-    """Trial ratio (bars) and failure ratio (line) per configuration at chosen iterations (Fig. 5)."""
-    chosen = snapshots(sorted(set(table.iteration)))
-    figure = Figure((3.2 * len(chosen), 3.2), layout="constrained")
-    all_axes = figure.subplots(1, len(chosen), sharey=True, squeeze=False)[0]
-    twins = []
-    for axes, iteration in zip(all_axes, chosen, strict=True):
-        twins.append(trials_and_failures(axes, table.loc[table.iteration == iteration]))
-        twins[-1].tick_params(labelright=iteration == chosen[-1])
-        axes.set_title(f"iteration {iteration}", fontsize=9)
-    all_axes[0].set_ylabel("trial ratio (bars)")
-    twins[-1].set_ylabel("failure ratio (line)")
     return figure
 
 

@@ -11,14 +11,16 @@ import jax
 import numpy as np
 
 from pecjax.agents.agent import Metrics
+from pecjax.errors import DivergedError, InputError, StoppedError
 from pecjax.experiments import tables
 from pecjax.experiments.assembly import load_world
 from pecjax.experiments.evaluation import Flights
 from pecjax.experiments.grid import Member, StudySettings
+from pecjax.experiments.interruption import Interruption
 from pecjax.experiments.measures import cvar
 from pecjax.experiments.plain_files import Row, alone
 from pecjax.experiments.progress import Progress
-from pecjax.experiments.study_directory import StudyDirectory, Tables
+from pecjax.experiments.study_directory import StudyDirectory, Tables, World
 from pecjax.experiments.study_program import Program, make_program
 
 
@@ -30,6 +32,8 @@ def run_study(settings: StudySettings, folder: Path) -> None:
 
     Raises:
         InputError: anything the user can put right, such as a folder of another study.
+        StoppedError: a signal asked for it.
+        DivergedError: a run's figure that is not finite.
     """
     settings.check()
     worlds = {
@@ -37,27 +41,47 @@ def run_study(settings: StudySettings, folder: Path) -> None:
     }
     directory = StudyDirectory(folder)
     directory.open(settings, worlds, len(jax.devices()))
+    runs = sum(map(len, settings.slices()))
+    with alone(folder), Progress(runs * settings.run.iterations) as progress, Interruption() as interruption:
+        try:
+            _make_slices(settings, worlds, directory, progress, interruption)
+        except OSError as error:
+            raise InputError(
+                f"{folder}: cannot be written ({error.strerror}); the same command goes on once it can"
+            ) from error
+
+
+def _make_slices(
+    settings: StudySettings,
+    worlds: dict[str, World],
+    directory: StudyDirectory,
+    progress: Progress,
+    interruption: Interruption,
+) -> None:
     slices = settings.slices()
-    with alone(folder), Progress(sum(map(len, slices)) * settings.run.iterations) as progress:
-        for line in directory.verify(len(slices)):
-            progress.say(line)
-        key, program = None, None
-        for number, members in enumerate(slices):
-            if directory.holds(number):
-                progress.skip(len(members) * settings.run.iterations)
-                continue
-            first = members[0]
-            if program is None or key != (first.coordinates, first.sampler, len(members)):
-                key = (first.coordinates, first.sampler, len(members))
-                _, scene, table = worlds[first.coordinates]
-                program = make_program(settings.settings_of(first), scene, table, len(members))
-            directory.write_slice(number, _train(settings, members, program, progress))
-            directory.gather()
+    for line in directory.verify(len(slices)):
+        progress.say(line)
+    programs: dict[tuple[str, str, int], Program] = {}
+    for number, members in enumerate(slices):
+        if directory.holds(number):
+            progress.skip(len(members) * settings.run.iterations)
+            continue
+        first = members[0]
+        key = (first.coordinates, first.sampler, len(members))
+        if key not in programs:
+            _, scene, table = worlds[first.coordinates]
+            programs[key] = make_program(settings.settings_of(first), scene, table, len(members))
+        directory.write_slice(number, _train(settings, members, programs[key], progress, interruption))
         directory.gather()
+    directory.gather()
 
 
 def _train(
-    settings: StudySettings, members: tuple[Member, ...], program: Program, progress: Progress
+    settings: StudySettings,
+    members: tuple[Member, ...],
+    program: Program,
+    progress: Progress,
+    interruption: Interruption,
 ) -> Tables:
     """Trains the runs of one slice from their beginning to their end."""
     run = settings.run
@@ -87,6 +111,10 @@ def _train(
             len(members) * number,
             f"goal ratio {flights.goal.mean():.3f}, {rate:,.0f} steps/s with evaluation",
         )
+        if interruption.asked and done < run.iterations:
+            raise StoppedError(
+                "stopped; the same command goes on with the runs it was at", interruption.asked
+            )
     return {name: [row for of_run in rows for row in of_run.tables[name]] for name in StudyDirectory.TABLES}
 
 
@@ -105,6 +133,9 @@ class _Rows:
         self.tables: Tables = {name: [] for name in StudyDirectory.TABLES}
 
     def add_metrics(self, iteration: int, metrics: Metrics) -> None:
+        if metrics.broken:
+            run = ", ".join(f"{name} {value}" for name, value in self._head.items() if value is not None)
+            raise DivergedError(f"{run}: at iteration {iteration} not finite: {', '.join(metrics.broken)}")
         row = tables.metrics_row(iteration, self._batch, 0.0, metrics)
         kept = ("iteration", "env_steps", "goal_ratio", "episodes", "mean_return")
         self.tables["metrics"].append(self._head | {name: row[name] for name in kept})

@@ -11,8 +11,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import cattrs
-
 from pecjax.errors import InputError
 from pecjax.experiments import plain_files
 from pecjax.experiments.grid import StudySettings
@@ -46,15 +44,7 @@ class StudyDirectory:
         Raises:
             InputError: the folder holds no study, or one that this version cannot read.
         """
-        path = self.folder / "study.json"
-        if not path.is_file():
-            raise InputError(f"{self.folder}: no study here (study.json is missing); give a study's folder")
-        try:
-            return cattrs.structure(json.loads(path.read_text())["settings"], StudySettings)
-        except (ValueError, KeyError, TypeError, cattrs.BaseValidationError) as error:
-            raise InputError(
-                f"{path}: cannot be read as a study's settings ({error}); give another folder"
-            ) from error
+        return plain_files.read_settings(self.folder / "study.json", StudySettings, "study")
 
     def table(self, coordinates: str) -> Configurations:
         """Reads the configurations of one of the study's sets back."""

@@ -1,0 +1,57 @@
+"""Trials and failures of every configuration, at chosen iterations side by side."""
+
+from __future__ import annotations
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pecjax.experiments.drawing import FAILURES, TRIALS
+
+SNAPSHOTS = 4  # iterations shown side by side, as in the paper's Fig. 5
+
+
+def configurations(table: pd.DataFrame, of: str = "", over: str = "") -> Figure:
+    """Trial ratio (bars) and failure ratio (line) at chosen iterations (Fig. 5, 9, 11, 13).
+
+    Args:
+        table: columns iteration, config, trials and failures; those of several runs are added up.
+        of, over: what titles begin with, and what the axis adds.
+    """
+    chosen = _snapshots(sorted(set(table.iteration)))
+    figure = Figure((3.2 * len(chosen), 3.4), layout="constrained")
+    all_axes = figure.subplots(1, len(chosen), sharey=True, squeeze=False)[0]
+    twins = []
+    for axes, iteration in zip(all_axes, chosen, strict=True):
+        rows = table.loc[table.iteration == iteration].groupby("config")[["trials", "failures"]].sum()
+        twins.append(_trials_and_failures(axes, rows.reset_index()))
+        twins[-1].tick_params(labelright=iteration == chosen[-1])
+        axes.set_title(f"{of}iteration {iteration}", fontsize=9)
+    all_axes[0].set_ylabel(f"trial ratio (bars){over}")
+    twins[-1].set_ylabel("failure ratio (line)")
+    return figure
+
+
+def _trials_and_failures(axes: Axes, rows: pd.DataFrame) -> Axes:
+    """Bars of the trial ratio and a line of the failure ratio by configuration.
+
+    Args:
+        rows: columns config, trials and failures, of one iteration.
+
+    Returns:
+        the axes of the failure ratio, on the right.
+    """
+    twin = axes.twinx()
+    axes.bar(rows.config, rows.trials / max(rows.trials.sum(), 1), color=TRIALS, label="trial ratio")
+    ratio = rows.failures / rows.trials.where(rows.trials > 0)
+    twin.plot(rows.config, ratio, "o-", color=FAILURES, markersize=3, linewidth=1, label="failure ratio")
+    twin.set_ylim(0, 1)
+    axes.set_xlabel("configuration c")
+    return twin
+
+
+def _snapshots(iterations: list[int]) -> list[int]:
+    """Those of the iterations that lie nearest to even parts of the whole."""
+    last = iterations[-1]
+    wanted = [last * part / SNAPSHOTS for part in range(1, SNAPSHOTS + 1)]
+    return sorted({min(iterations, key=lambda i: abs(i - w)) for w in wanted})

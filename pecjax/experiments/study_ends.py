@@ -1,0 +1,92 @@
+"""How the runs of a study ended: steps to the thresholds, success by pair, and by α."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pecjax.experiments.map_figure import success
+from pecjax.experiments.measures import Interval, interval
+from pecjax.experiments.study_curves import STYLES
+from pecjax.experiments.study_report import THRESHOLDS, StudyTables
+from pecjax.world.coordinates import Configurations
+from pecjax.world.scene import Scene
+
+
+def steps_to_threshold(runs: pd.DataFrame) -> Figure:
+    """Steps until five evaluations in a row hold a threshold, a line for each seed."""
+    figure = Figure((8.4, 4.0), layout="constrained")
+    names = list(dict.fromkeys(runs.condition))
+    values = runs[[f"steps_until_{at:g}" for at in THRESHOLDS]].to_numpy() / 1e6
+    finite = values[np.isfinite(values)]
+    never = 1.15 * finite.max() if len(finite) else 1.0
+    for axes, at in zip(figure.subplots(1, 2, sharey=True), THRESHOLDS, strict=True):
+        table = runs.pivot(index="seed", columns="condition", values=f"steps_until_{at:g}")[names] / 1e6
+        shown = table.replace(np.inf, never)
+        for _, row in shown.iterrows():
+            axes.plot(range(len(names)), row, color="0.7", linewidth=0.8, zorder=1)
+        for place, name in enumerate(names):
+            color, _, mark = STYLES[place % len(STYLES)]
+            axes.scatter(np.full(len(shown), place), shown[name], color=color, marker=mark, s=24, zorder=2)
+            median = shown[name].median()
+            axes.plot([place - 0.22, place + 0.22], [median, median], color="black", linewidth=1.6, zorder=3)
+        if np.isinf(table.to_numpy()).any():
+            axes.axhline(never, color="0.6", linewidth=0.7, linestyle=":")
+            axes.annotate("not held", (len(names) - 0.5, never), fontsize=8, ha="right", va="bottom")
+        axes.set_xticks(range(len(names)), [name.replace(", ", "\n") for name in names], fontsize=8)
+        axes.set(xlim=(-0.5, len(names) - 0.5), ylim=(0, 1.08 * never))
+        axes.set_title(f"goal ratio {at:g} held by five uniform evaluations", fontsize=9)
+        axes.grid(alpha=0.3, axis="y")
+    figure.axes[0].set_ylabel("environment steps (millions); bar: median")
+    return figure
+
+
+def maps(results: pd.DataFrame, scene: Scene, table: Configurations) -> Figure:
+    """The map with the last evaluation's goal ratio of every pair, a panel for each condition."""
+    last = results[results.iteration == results.iteration.max()]
+    by_condition = list(last.groupby("condition", sort=False))
+    figure = Figure((4.6 * len(by_condition) + 0.8, 5.0), layout="constrained")
+    panels = figure.subplots(1, len(by_condition), sharey=True, squeeze=False)[0]
+    columns = [f"c{config}" for config in range(table.size)]
+    shades = []
+    for axes, (condition, rows) in zip(panels, by_condition, strict=True):
+        shades.append(success(axes, scene, table, rows[columns].mean().to_numpy()))
+        axes.set_title(f"{condition}: {rows.goal_ratio.mean():.3f} of all reach the goal", fontsize=9)
+        axes.label_outer()
+    figure.colorbar(shades[0], ax=list(panels), label="goal ratio, mean over seeds", shrink=0.7, extend="min")
+    return figure
+
+
+def alphas(tables: StudyTables) -> Figure:
+    """How the end of training depends on α (Fig. 11-12): failures since the beginning, evaluation."""
+    last = tables.configurations.iteration.max()
+    counts = tables.configurations[tables.configurations.iteration == last]
+    failure = counts.assign(failure=counts.failures / counts.trials.clip(lower=1))
+    failures = failure.groupby(["alpha", "seed"]).failure.mean()
+    results = tables.results[tables.results.iteration == last].set_index(["alpha", "seed"])
+    figure = Figure((9.6, 3.6), layout="constrained")
+    panels = {
+        "failure ratio since the beginning": {"mean over configurations": failures},
+        "goal ratio, last uniform evaluation": {
+            "all configurations": results.goal_ratio,
+            "worst tenth (CVaR)": results.cvar,
+        },
+    }
+    for axes, (label, lines) in zip(figure.subplots(1, 2), panels.items(), strict=True):
+        for (name, values), (color, dashes, mark) in zip(lines.items(), STYLES, strict=False):
+            found = {alpha: interval(x.to_numpy()) for alpha, x in values.groupby("alpha")}
+            _error_bars(axes, found, color=color, linestyle=dashes, marker=mark, label=name)
+        axes.set(xlabel="α", ylabel=label)
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+    return figure
+
+
+def _error_bars(axes: Axes, found: dict[float, Interval], **style: Any) -> None:
+    value, low, high = np.array(list(found.values())).T
+    error = np.nan_to_num([value - low, high - value])
+    axes.errorbar(list(found), value, error, capsize=3, markersize=4, **style)
