@@ -16,7 +16,7 @@ from pecjax.commands.evaluate import Eval
 from pecjax.commands.figures import Figures
 from pecjax.commands.study import Study
 from pecjax.commands.train import Train
-from pecjax.errors import DivergedError, InputError, StoppedError
+from pecjax.errors import DivergedError, InputError, LostProcessError, StoppedError
 from pecjax.experiments import devices
 
 Command = (
@@ -55,7 +55,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"pecjax: {error}", file=sys.stderr)
         return 2
-    except DivergedError as error:
+    except (DivergedError, LostProcessError) as error:
         print(f"pecjax: {error}", file=sys.stderr)
         return 1
     except StoppedError as stop:

@@ -31,5 +31,9 @@ class StoppedError(KeyboardInterrupt):
         self.signal = signal
 
 
+class LostProcessError(RuntimeError):
+    """One of the processes that share a training is gone; the message says how to go on."""
+
+
 class DivergedError(ArithmeticError):
     """A loss, the parameters or the physics are no longer finite; the message says which and when."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pecjax.commands.drawing import draw
 from pecjax.errors import InputError
-from pecjax.experiments import presets, training
+from pecjax.experiments import presets, processes, training
 from pecjax.experiments.run_directory import RunDirectory
 
 
@@ -34,6 +34,10 @@ class Train:
         out: the run's folder. (default: a new one under runs/)
         sampled_evaluation: evaluates with drawn actions instead of the likeliest ones.
         resume: goes on with the run in --out where it was stopped, or with more --iterations.
+        coordinator: where several processes share the training, given to all of them alike: HOST:PORT of
+            the first, or auto under SLURM or Open MPI. (default: this process is alone)
+        num_processes: how many there are; auto knows.
+        process_id: which of them this is, from 0; auto knows.
     """
 
     preset: str | None = None
@@ -51,9 +55,13 @@ class Train:
     out: Path | None = None
     sampled_evaluation: bool = False
     resume: bool = False
+    coordinator: str | None = None
+    num_processes: int | None = None
+    process_id: int | None = None
 
     def run(self) -> None:
         """Trains, then draws."""
+        self._join()
         if self.resume:  # what is given beside it must be as it was
             if self.out is None:
                 raise InputError("--resume needs the run's folder; give it with --out")
@@ -78,6 +86,8 @@ class Train:
         folder = self.out or Path("runs") / time.strftime(f"{settings.sampler}-%Y%m%d-%H%M%S")
         go = training.resume if self.resume else training.train
         summary = go(settings, folder, self.devices)
+        if not processes.is_lead():
+            return
         draw(folder)
         evaluated = summary["uniform_evaluation"]
         print(
@@ -86,3 +96,12 @@ class Train:
             f"{summary['env_steps']:,} steps in {summary['seconds']:.0f} s "
             f"(and {summary['compile_seconds']:.0f} s of compilation)"
         )
+
+    def _join(self) -> None:
+        if self.coordinator is None:
+            if self.num_processes is not None or self.process_id is not None:
+                raise InputError("--num-processes and --process-id need --coordinator HOST:PORT")
+            return
+        if self.out is None:
+            raise InputError("several processes need one folder that all of them see; give it with --out")
+        processes.join(self.coordinator, self.num_processes, self.process_id)

@@ -18,6 +18,7 @@ import numpy as np
 
 from pecjax.errors import InputError
 from pecjax.experiments.plain_files import differences
+from pecjax.experiments.processes import is_lead, on_host
 
 
 class BrokenFileError(Exception):
@@ -30,11 +31,15 @@ _ABOUT = "about"
 def write_arrays(path: Path, tree: Any, about: dict[str, Any] | None = None) -> None:
     """Writes every leaf under its place in the tree; the file is put in place of another at once.
 
+    Where several processes share a training all of them call it, and the lead writes.
+
     Args:
         about: what the arrays belong to, as JSON.
     """
     named, _ = jax.tree_util.tree_flatten_with_path(tree)
-    arrays = {jax.tree_util.keystr(place): np.asarray(_plain(leaf)) for place, leaf in named}
+    arrays = {jax.tree_util.keystr(place): on_host(_plain(leaf)) for place, leaf in named}
+    if not is_lead():
+        return
     if about is not None:
         arrays[_ABOUT] = np.frombuffer(json.dumps(about).encode(), np.uint8)
     path.parent.mkdir(exist_ok=True)
@@ -101,5 +106,10 @@ def _placed(array: np.ndarray, like: Any) -> Any:
     if sharding is None:
         return array
     if _is_key(like):
-        return jax.random.wrap_key_data(jax.device_put(array, sharding))
-    return jax.device_put(array, sharding)
+        return jax.random.wrap_key_data(_spread(array, sharding))
+    return _spread(array, sharding)
+
+
+def _spread(array: np.ndarray, sharding: Any) -> jax.Array:
+    """Each process takes what its own devices need."""
+    return jax.make_array_from_callback(array.shape, sharding, lambda part: array[part])

@@ -10,6 +10,7 @@ import numpy as np
 from pecjax.agents.agent import TrainState
 from pecjax.errors import InputError
 from pecjax.experiments.array_files import BrokenFileError, read_arrays, write_arrays
+from pecjax.experiments.processes import by_the_lead
 
 KEPT_STATES = 2  # the newest, and one to fall back on
 
@@ -63,9 +64,14 @@ class Checkpoints:
     def save_position(self, here: Position) -> None:
         """Keeps where a training stands, and forgets what is older than the one before."""
         write_arrays(_path(self._states, int(here.iteration)), here, self._about)
+        self._prune()
+
+    @by_the_lead
+    def _prune(self) -> None:
         for iteration in _iterations(self._states)[:-KEPT_STATES]:
             _path(self._states, iteration).unlink()
 
+    @by_the_lead
     def forget_after(self, iteration: int, every: int) -> None:
         """Removes learners that a run of which `iteration` iterations are done would not have."""
         for there in _iterations(self._learners):

@@ -43,6 +43,10 @@ def choose_num_devices(wanted: int | None, shares: int) -> int:
         InputError: fewer than 1 wanted, more than there are, or a number that does not divide.
     """
     available = len(jax.devices())
+    if jax.process_count() > 1:  # one without a device would have nothing to do
+        wanted = available if wanted is None else wanted
+        if wanted != available:
+            raise InputError(f"devices is {wanted}; the processes have {available}, leave --devices out")
     if wanted is None:
         return max(d for d in range(1, available + 1) if shares % d == 0)
     if not 1 <= wanted <= available:
@@ -61,7 +65,7 @@ def check_memory(needed: int, num_devices: int) -> None:
     Raises:
         InputError: they cannot.
     """
-    limits = jax.devices()[0].memory_stats() or {}
+    limits = jax.local_devices()[0].memory_stats() or {}
     there = limits.get("bytes_limit", 0) * num_devices
     there = there or os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if needed > there:

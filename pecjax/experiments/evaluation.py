@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from pecjax.agents.agent import AXIS, Agent
 from pecjax.agents.rollout import env_keys
@@ -94,7 +94,8 @@ def make_evaluator(
             in_specs=(PartitionSpec(), spread, spread),
             out_specs=spread,
             check_vma=False,
-        )
+        ),
+        out_shardings=NamedSharding(mesh, PartitionSpec()),  # each process has all of them
     )
 
     def compile_for(learner: Any) -> Callable[[Any], Flights]:

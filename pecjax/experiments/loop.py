@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import time
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -17,6 +18,7 @@ from pecjax.experiments.assembly import Run, compile_evaluator
 from pecjax.experiments.checkpoint import Checkpoints, Position
 from pecjax.experiments.interruption import Interruption
 from pecjax.experiments.presets import RunSettings
+from pecjax.experiments.processes import greatest
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.run_directory import RunDirectory
 
@@ -111,19 +113,21 @@ def loop(session: Session, here: Position, iterate: Iterate) -> dict[str, Any]:
                 f"{'greedy' if settings.greedy else 'sampled'} episodes of a uniform draw"
             )
         rate = row["env_steps"] / clock.seconds()
-        progress.advance(1, f"training goal ratio {row['goal_ratio']:.3f}, {rate:,.0f} steps/s")
+        ended = f"{row['goal_ratio']:.3f}" if metrics.watched.any() else "not known yet"
+        progress.advance(1, f"training goal ratio {ended}, {rate:,.0f} steps/s")
+        asked = greatest(interruption.asked or 0)
         summary = _summary(settings, row, evaluated, clock) if last else {}
         if last:
             directory.write_json("summary.json", summary)
-        if evaluated or interruption.asked:
+        if evaluated or asked:
             checkpoints.save_position(Position.make(state, iteration, counts, held, clock.seconds()))
             saved = iteration
         if last:
             return summary
-        if interruption.asked:
+        if asked:
             command = f"pecjax train --resume --out {directory.folder}"
             raise StoppedError(
-                f"stopped after iteration {iteration}; go on with {command}", interruption.asked
+                f"stopped after iteration {iteration}; go on with {command}", signal.Signals(asked)
             )
 
 

@@ -31,11 +31,11 @@ def cvar(ratios: np.ndarray) -> np.ndarray:
     return np.nanmean(np.sort(ratios, axis=-1)[..., :number], axis=-1)
 
 
-def first_held(ratios: np.ndarray, threshold: float, patience: int = PATIENCE) -> int | None:
-    """The place at which the first `patience` figures in a row at the threshold or above begin."""
+def first_held(ratios: np.ndarray, threshold: float) -> int | None:
+    """The place at which the first `PATIENCE` figures in a row at the threshold or above begin."""
     reached = ratios >= threshold
-    for first in range(len(reached) - patience + 1):
-        if reached[first : first + patience].all():
+    for first in range(len(reached) - PATIENCE + 1):
+        if reached[first : first + PATIENCE].all():
             return first
     return None
 

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from pecjax.errors import InputError
+from pecjax.experiments.processes import is_lead
 from pecjax.world.coordinates import Configurations
 
 Row = dict[str, Any]
@@ -123,11 +124,16 @@ def check_free(folder: Path) -> None:
 
 @contextlib.contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Keeps other processes from writing a run or a study into the folder at the same time.
+    """Keeps other trainings from writing a run or a study into the folder at the same time.
+
+    Of the processes that share a training the lead holds the place for all.
 
     Raises:
-        InputError: one does already.
+        InputError: another one does already.
     """
+    if not is_lead():
+        yield
+        return
     place = os.open(folder, os.O_RDONLY)
     try:
         try:

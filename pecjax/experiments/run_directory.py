@@ -13,6 +13,7 @@ from typing import Any
 from pecjax.errors import InputError
 from pecjax.experiments import plain_files
 from pecjax.experiments.presets import RunSettings
+from pecjax.experiments.processes import by_the_lead
 from pecjax.experiments.provenance import environment_facts
 from pecjax.world.coordinates import Configurations, load_coordinates
 
@@ -20,13 +21,17 @@ HOW_LONG = ("iterations", "until_goal_ratio", "patience")  # settings that no it
 
 
 class RunDirectory:
-    """One run's folder. Tables grow row by row and are on disk after each."""
+    """One run's folder. Tables grow row by row and are on disk after each.
+
+    Where several processes share a training, the lead writes and all read.
+    """
 
     def __init__(self, folder: Path) -> None:
         """Names the folder; nothing is read or written yet."""
         self.folder = folder
         self.scene_path = folder / "scene.xml"
 
+    @by_the_lead
     def create(
         self, settings: RunSettings, scene_path: Path, table: Configurations, num_devices: int
     ) -> None:
@@ -55,6 +60,7 @@ class RunDirectory:
         """Reads the configurations back."""
         return load_coordinates(self.folder / "coordinates.csv")
 
+    @by_the_lead
     def append(self, name: str, rows: Iterable[plain_files.Row]) -> None:
         """Adds rows to a table, with a header when it is new."""
         path = self.folder / name
@@ -62,6 +68,7 @@ class RunDirectory:
         with path.open("a", newline="") as file:
             file.write(text)
 
+    @by_the_lead
     def roll_back(self, name: str, keep: Callable[[int], bool]) -> None:
         """Keeps only the whole rows of those iterations that are wanted."""
         path = self.folder / name
@@ -73,11 +80,13 @@ class RunDirectory:
         kept = [",".join(row) for row in whole if keep(int(row[place]))]
         plain_files.replace_file(path, header + "".join(kept))
 
+    @by_the_lead
     def remove(self, *names: str) -> None:
         """Removes files that the end of a run has written."""
         for name in names:
             (self.folder / name).unlink(missing_ok=True)
 
+    @by_the_lead
     def write_json(self, name: str, content: dict[str, Any]) -> None:
         """Writes one JSON object."""
         plain_files.replace_file(self.folder / name, plain_files.json_text(content))

@@ -18,6 +18,7 @@ from pecjax.experiments.interruption import Interruption
 from pecjax.experiments.loop import Clock, Iterate, Session, is_counted, is_evaluated, loop
 from pecjax.experiments.plain_files import alone, check_free
 from pecjax.experiments.presets import RunSettings, check_settings
+from pecjax.experiments.processes import ending_together, together
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.run_directory import RunDirectory
 from pecjax.world.scene import load_scene
@@ -52,15 +53,19 @@ def train(settings: RunSettings, folder: Path, devices: int | None = None) -> di
         InputError: anything the user can put right; nothing has been written then.
         StoppedError: a signal asked for it; `resume` goes on.
         DivergedError: a figure that is not finite.
+        LostProcessError: one of several processes is gone (see `processes.join`).
     """
-    check_settings(settings)
-    num_devices = choose_num_devices(devices, settings.learner.shares)
-    scene_path, scene, table = load_world(settings)
-    build(settings, scene, table, num_devices)
-    check_free(folder)
     directory = RunDirectory(folder)
-    directory.create(settings, scene_path, table, num_devices)
-    return _go(settings, directory, num_devices, resumed=False)
+    with ending_together(_how_to_go_on(folder)):
+        with together(settings):
+            check_settings(settings)
+            num_devices = choose_num_devices(devices, settings.learner.shares)
+            scene_path, scene, table = load_world(settings)
+            build(settings, scene, table, num_devices)
+            check_free(folder)
+        with together():
+            directory.create(settings, scene_path, table, num_devices)
+        return _go(settings, directory, num_devices, resumed=False)
 
 
 def resume(settings: RunSettings, folder: Path, devices: int | None = None) -> dict[str, Any]:
@@ -73,23 +78,31 @@ def resume(settings: RunSettings, folder: Path, devices: int | None = None) -> d
 
     Raises:
         InputError: the folder holds no run, one of other settings, or nothing to go on from.
-        StoppedError, DivergedError: see `train`.
+        StoppedError, DivergedError, LostProcessError: see `train`.
     """
-    check_settings(settings)
     directory = RunDirectory(folder)
-    differing = directory.differences(settings)
-    if differing:
-        raise InputError(f"{folder}: holds a run that differs in {', '.join(differing)}; leave these out")
-    if devices is None and (directory.num_devices() or 0) <= len(jax.devices()):
-        devices = directory.num_devices()
-    num_devices = choose_num_devices(devices, settings.learner.shares)
-    return _go(settings, directory, num_devices, resumed=True)
+    with ending_together(_how_to_go_on(folder)):
+        with together(settings):
+            check_settings(settings)
+            differing = directory.differences(settings)
+            if differing:
+                differing = ", ".join(differing)
+                raise InputError(f"{folder}: holds a run that differs in {differing}; leave these out")
+            if devices is None and (directory.num_devices() or 0) <= len(jax.devices()):
+                devices = directory.num_devices()
+            num_devices = choose_num_devices(devices, settings.learner.shares)
+        return _go(settings, directory, num_devices, resumed=True)
+
+
+def _how_to_go_on(folder: Path) -> str:
+    return f"go on with pecjax train --resume --out {folder}"
 
 
 def _go(settings: RunSettings, directory: RunDirectory, num_devices: int, resumed: bool) -> dict[str, Any]:
-    scene = load_scene(directory.scene_path, settings.resolution)
-    run = build(settings, scene, directory.table(), num_devices)
     folder = directory.folder
+    with together():  # each reads what the lead has written
+        scene = load_scene(directory.scene_path, settings.resolution)
+        run = build(settings, scene, directory.table(), num_devices)
     with alone(folder), Progress(settings.iterations) as progress, Interruption() as interruption:
         progress.say(f"{folder}: {settings.learner.num_envs} environments on {num_devices} device(s)")
         if run.agent.replay_bytes:
@@ -101,8 +114,7 @@ def _go(settings: RunSettings, directory: RunDirectory, num_devices: int, resume
             return loop(session, here, iterate)
         except OSError as error:
             raise InputError(
-                f"{folder}: cannot be written ({error.strerror}); put that right and go on with "
-                f"pecjax train --resume --out {folder}"
+                f"{folder}: cannot be written ({error.strerror}); put that right and {_how_to_go_on(folder)}"
             ) from error
 
 

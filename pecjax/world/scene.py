@@ -6,6 +6,7 @@ import copy
 from dataclasses import dataclass
 from pathlib import Path
 
+import jax
 import mujoco
 import numpy as np
 from mujoco import mjx
@@ -104,8 +105,9 @@ def load_scene(path: str | Path | None = None, resolution: tuple[int, int] | Non
         model.cam_resolution[:] = resolution
     wall_lower, wall_upper, wall_names = _walls(path, model)
     try:
-        physics = mjx.put_model(_without_actuation(model))
-    except NotImplementedError as error:
+        # Its own choice is the first device of all, which may be another process's.
+        physics = mjx.put_model(_without_actuation(model), device=jax.local_devices()[0])
+    except NotImplementedError as error:  # MJX's word for features of MuJoCo that it lacks
         raise InputError(f"{path}: MJX cannot simulate it: {error}") from error
     return Scene(
         model=model,

@@ -1,0 +1,214 @@
+"""Several processes that share a training: they train as one would, and end together."""
+
+import signal
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pecjax
+from pecjax import cli
+from pecjax.experiments import processes, training
+from pecjax.experiments.studies import find_study
+
+DEVICES_EACH = 2
+TRAIN = """
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+
+from pecjax import cli
+from pecjax.experiments import devices, presets, studies
+
+index, port, cache, *args = sys.argv[1:]
+jax.config.update("jax_compilation_cache_dir", cache)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+devices.use_all_cores = lambda: jax.config.update("jax_num_cpu_devices", 2)
+devices.keep_compiled_programs = lambda: None
+presets.PRESETS["fast"] = replace(
+    studies.find_study("fig4", "smoke").run, evaluate_every=2, evaluation_episodes=6, configurations_every=3
+)
+several = ["--coordinator", f"localhost:{port}", "--num-processes", "2", "--process-id", index]
+sys.exit(cli.main(["train", *args, *several]))
+"""
+SETTINGS = replace(
+    find_study("fig4", "smoke").run, evaluate_every=2, evaluation_episodes=6, configurations_every=3
+)
+SECONDS_TO_NOTICE = 60
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("localhost", 0))
+        return probe.getsockname()[1]
+
+
+class One:
+    """One of several processes; what it says goes to files, for a pipe that nobody empties holds it up."""
+
+    def __init__(self, command, place):
+        self.out, self.err = place.with_suffix(".out"), place.with_suffix(".err")
+        with self.out.open("w") as out, self.err.open("w") as err:
+            self.process = subprocess.Popen(command, stdout=out, stderr=err)
+
+    def exit_code(self, seconds):
+        return self.process.wait(timeout=seconds)
+
+    def lines(self):
+        """Its own, without those that XLA and JAX write to the log."""
+        return [line for line in self.err.read_text().splitlines() if line.startswith("pecjax: ")]
+
+
+@pytest.fixture
+def start(folders, tmp_path):
+    """(arguments of each of the two) -> the processes, which do not outlive the test."""
+    begun = []
+
+    def start(*args):
+        port = free_port()
+        for index, own in enumerate(args):
+            command = [sys.executable, "-c", TRAIN, str(index), str(port), str(folders / "compiled"), *own]
+            begun.append(One(command, tmp_path / f"process-{len(begun)}"))
+        return begun[-len(args) :]
+
+    yield start
+    for one in begun:
+        one.process.kill()
+        one.process.wait()
+
+
+def exit_codes(both, seconds=300):
+    return [one.exit_code(seconds) for one in both]
+
+
+def wait_for(pattern, folder, both):
+    deadline = time.monotonic() + 240
+    while not list(folder.glob(pattern)):
+        assert time.monotonic() < deadline and all(one.process.poll() is None for one in both)
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def alone(folders):
+    """The same training in this process, on as many devices."""
+    folder = folders / "alone"
+    training.train(replace(SETTINGS, iterations=4), folder, devices=4)
+    return folder
+
+
+def assert_as_alone(folder, alone):
+    read = {f: {name: pd.read_csv(f / f"{name}.csv") for name in TABLES} for f in (folder, alone)}
+    for name in TABLES:
+        drop = ["seconds"] if name == "metrics" else []
+        found, wanted = (read[f][name].drop(columns=drop) for f in (folder, alone))
+        pd.testing.assert_frame_equal(found, wanted, rtol=2e-4, atol=1e-5)
+    counts = ["iteration", "config", "trials", "failures"]
+    assert read[folder]["configurations"][counts].equals(read[alone]["configurations"][counts])
+    for path in sorted(alone.rglob("*.npz")):
+        with np.load(path) as wanted, np.load(folder / path.relative_to(alone)) as found:
+            assert found.files == wanted.files
+            for name in set(wanted.files) - {".seconds", "about"}:
+                assert found[name].shape == wanted[name].shape, (path, name)
+                if ".learner.params" in name:
+                    np.testing.assert_allclose(found[name], wanted[name], rtol=1e-3, atol=1e-5)
+
+
+TABLES = ("metrics", "evaluation", "configurations")
+
+
+def test_two_processes_train_as_one(start, alone, tmp_path):
+    """And go on together from where they came to."""
+    folder = tmp_path / "run"
+    args = ["--iterations", "2", "--out", str(folder)]
+    assert exit_codes(start(args, args)) == [0, 0]
+    args = ["--iterations", "4", "--out", str(folder), "--resume"]
+    both = start(args, args)
+    assert exit_codes(both) == [0, 0]
+    assert "goal ratio" in both[0].out.read_text()
+    assert "goal ratio" not in both[1].out.read_text() + both[1].err.read_text()  # the lead speaks
+    assert_as_alone(folder, alone)
+    assert len(list((folder / "figures").glob("*.png"))) == 5
+
+
+@pytest.mark.parametrize("struck", [0, 1])
+def test_a_process_that_dies_ends_the_others_and_the_run_goes_on(struck, start, alone, tmp_path):
+    folder = tmp_path / "run"
+    args = ["--iterations", "100000", "--out", str(folder)]
+    both = start(args, args)
+    wait_for("states/[0-9]*.npz", folder, both)
+    both[struck].process.kill()
+    assert both[1 - struck].exit_code(SECONDS_TO_NOTICE) != 0
+    time.sleep(1)  # the line may come after
+    (line,) = both[1 - struck].lines()
+    assert processes.LOST in line and f"pecjax train --resume --out {folder}" in line
+    # What is there is whole: this process alone goes on from it, on as many devices.
+    done = max(int(path.stem) for path in folder.glob("states/[0-9]*.npz"))
+    last = max(done + 1, 4)
+    training.resume(replace(SETTINGS, iterations=last), folder)
+    metrics = pd.read_csv(folder / "metrics.csv")
+    assert metrics.iteration.tolist() == list(range(1, last + 1))
+    found, wanted = (
+        table.drop(columns="seconds")[:4] for table in (metrics, pd.read_csv(alone / "metrics.csv"))
+    )
+    pd.testing.assert_frame_equal(found, wanted, rtol=2e-4, atol=1e-5)
+
+
+def test_a_signal_to_one_stops_both_after_the_same_iteration(start, tmp_path):
+    folder = tmp_path / "run"
+    args = ["--iterations", "100000", "--out", str(folder)]
+    both = start(args, args)
+    wait_for("evaluation.csv", folder, both)
+    both[1].process.send_signal(signal.SIGTERM)
+    assert exit_codes(both, 60) == [143, 143]
+    (line,) = both[0].lines()
+    done = max(int(path.stem) for path in folder.glob("states/[0-9]*.npz"))
+    assert both[1].lines() == [line] and f"stopped after iteration {done};" in line
+    assert pd.read_csv(folder / "metrics.csv").iteration.tolist() == list(range(1, done + 1))
+
+
+@pytest.mark.parametrize(
+    ("args", "lines"),
+    [
+        ((["--seed", "1"], ["--seed", "2"]), ["settings that differ"] * 2),
+        ((["--alpha", "0.1"], ["--alpha", "-1"]), ["another process could not begin", "alpha is -1"]),
+    ],
+)
+def test_processes_that_cannot_begin_together(args, lines, start, tmp_path):
+    folder = tmp_path / "run"
+    both = start(*([*own, "--out", str(folder)] for own in args))
+    assert exit_codes(both) == [2, 2]
+    for one, words in zip(both, lines, strict=True):
+        (line,) = one.lines()
+        assert words in line
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["--process-id", "1"], "need --coordinator"),
+        (["--coordinator", "localhost:1234"], "several processes need one folder"),
+        (["--coordinator", "localhost", "--out", "x"], "coordinator is 'localhost'; give HOST:PORT"),
+        (["--coordinator", "localhost:1", "--num-processes", "2", "--out", "x"], "process-id is None"),
+        (
+            ["--coordinator", "localhost:1", "--num-processes", "2", "--process-id", "2", "--out", "x"],
+            "process-id is 2",
+        ),
+    ],
+)
+def test_wrong_words_for_several_processes(args, words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["train", *args]) == 2
+    assert words in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+def test_auto_needs_a_cluster():
+    with pytest.raises(pecjax.InputError, match=r"coordinator auto: .*could not be joined"):
+        processes.join("auto")
