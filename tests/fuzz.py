@@ -3,7 +3,8 @@
     python tests/fuzz.py [--inputs 10000] [--seed 0]
 
 Scenes and coordinate files go through what `pecjax check` does with them, run folders through what
-`figures` and `eval` read first. `test_untrusted_files.py` runs some hundreds of the same.
+`figures` and `eval` read first, checkpoints through what `eval` and `train --resume` do.
+`test_untrusted_files.py` runs some hundreds of the same.
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 import pecjax
+from pecjax.experiments.checkpoint import Checkpoints
 from pecjax.experiments.drawing import read_table
 from pecjax.experiments.run_directory import RunDirectory
 from pecjax.experiments.run_figures import _COLUMNS
@@ -29,6 +33,7 @@ from pecjax.world.coordinates import check_coordinates
 from pecjax.world.scene import default_scene_path
 
 SECONDS = 20  # that one input may take
+LEARNER = {"params": {"w": np.ones((7, 5), np.float32), "b": np.zeros(5, np.float32)}, "updates": np.array(3)}
 NUMBERS = ["nan", "inf", "-1", "0", "1e308", "1e-300", "9" * 40, "", "x", "1 2 3 4 5 6 7 8 9", "-0.0", "1e9"]
 PIECES = [
     '<!DOCTYPE m [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]>',
@@ -108,6 +113,39 @@ def run_input(folder: Path, rng: random.Random, run: Path) -> None:
         read_table(copy / f"{name}.csv", columns)
 
 
+def mutate_bytes(content: bytes, rng: random.Random) -> bytes:
+    """One to four changes: bytes, numbers of a header, pieces cut out or doubled."""
+    changed = bytearray(content)
+    for _ in range(rng.randint(1, 4)):
+        first = rng.randrange(len(changed) + 1)
+        last = min(len(changed), first + rng.choice([1, 2, 4, 8, 100]))
+        kind = rng.randrange(6)
+        if kind < 2:
+            changed[first:last] = rng.randbytes(last - first)
+        elif kind == 2:
+            changed[first:last] = rng.choice([b"\0", b"\xff"]) * (last - first)
+        elif kind == 3:
+            del changed[first : last if rng.random() < 0.8 else None]
+        elif kind == 4:
+            changed[first:first] = changed[first:last]
+        else:  # shapes and types stand in headers as text
+            texts = [(m.start(), m.end()) for m in re.finditer(rb"\d+|'[^']*'|<f4|\(", bytes(changed))]
+            low, high = rng.choice(texts or [(0, 0)])
+            changed[low:high] = rng.choice(
+                [b"9" * 12, b"|O", b"-1", b"True", b"(" * 99, b"0", b"__import__('os')"]
+            )
+    return bytes(changed)
+
+
+def checkpoint_input(folder: Path, rng: random.Random, run: Path) -> None:
+    copy = folder / "run"
+    shutil.rmtree(copy, ignore_errors=True)
+    (copy / "checkpoints").mkdir(parents=True)
+    content = (run / "checkpoints" / "3.npz").read_bytes()
+    (copy / "checkpoints" / "3.npz").write_bytes(mutate_bytes(content, rng))
+    Checkpoints(copy).load_learner(LEARNER)
+
+
 class TooSlowError(Exception):
     """An input took longer than it may."""
 
@@ -143,6 +181,7 @@ def fuzz(inputs: int, seed: int, run: Path) -> Counter:
             "scene": lambda: scene_input(folder, rng),
             "coordinates": lambda: coordinates_input(folder, rng, scene),
             "run": lambda: run_input(folder, rng, run),
+            "checkpoint": lambda: checkpoint_input(folder, rng, run),
         }
         for number in range(inputs):
             kind = list(kinds)[number % len(kinds)]
@@ -169,6 +208,7 @@ def sample_run(folder: Path) -> Path:
     (folder / "config.json").write_text(plain_files.json_text(config))
     study = {"settings": dataclasses.asdict(find_study("fig4"))}
     (folder / "study.json").write_text(plain_files.json_text(study))
+    Checkpoints(folder).save_learner(3, LEARNER)
     table = plain_files.coordinates_text(pecjax.COORDINATE_SET_1)
     (folder / "coordinates.csv").write_text(table)
     for name, columns in _COLUMNS.items():

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -26,6 +27,19 @@ class BrokenFileError(Exception):
 
 
 _ABOUT = "about"
+# All that Python's and NumPy's readers were seen to raise over files with changed bytes.
+_UNREADABLE = (
+    OSError,
+    ValueError,
+    EOFError,
+    KeyError,
+    MemoryError,
+    RuntimeError,
+    SyntaxError,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 def write_arrays(path: Path, tree: Any, about: dict[str, Any] | None = None) -> None:
@@ -65,9 +79,11 @@ def read_arrays(path: Path, like: Any, about: dict[str, Any] | None = None) -> A
     wanted = {jax.tree_util.keystr(place): leaf for place, leaf in named}
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+            arrays: dict[str, Any] = {name: file[name] for name in file.files}
+        if not all(isinstance(array, np.ndarray) for array in arrays.values()):
+            raise ValueError("a part is no array")
         written = json.loads(arrays.pop(_ABOUT).tobytes()) if _ABOUT in arrays else {}
-    except (OSError, ValueError, EOFError, KeyError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
+    except _UNREADABLE as error:
         raise BrokenFileError(f"{path}: torn or changed ({error})") from error
     if about is not None:
         differing = list(differences(written, json.loads(json.dumps(about))))
