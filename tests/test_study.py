@@ -306,7 +306,8 @@ def test_the_folder_of_a_run_is_no_place_for_a_study(settings, tmp_path):
 
 def test_the_report_is_of_the_tables(study):
     words = study_report.write_report(study)
-    assert len(words.splitlines()) == 3
+    assert len(words.splitlines()) == 3 + 2  # conditions, and those compared with uniform
+    assert "pec, α = 3 - uniform, 2 pairs: goal ratio" in words
     results = pd.read_csv(study / "results.csv").query("iteration == 3")
     summary = pd.read_csv(study / "summary.csv").set_index("condition")
     assert list(summary.index) == ["pec, α = 0", "pec, α = 3", "uniform"]

@@ -22,7 +22,7 @@ from pecjax.experiments.measures import (
 
 THRESHOLDS = (0.9, 0.95)
 BASELINE = "uniform"  # what others are paired with; the study's first condition where it is not there
-RATIOS = ("goal_ratio", "cvar", "area_under_curve")
+RATIOS = ("goal_ratio", "cvar", "area_under_curve", "cvar_area_under_curve")
 STEPS = tuple(f"{what}_{at:g}" for at in THRESHOLDS for what in ("steps_until", "exit_at"))
 _COLUMNS = {
     "results": {"seed", "iteration", "env_steps", "goal_ratio", "cvar", "mean_return"},
@@ -56,7 +56,7 @@ def read_study(folder: Path) -> StudyTables:
 def by_run(tables: StudyTables) -> pd.DataFrame:
     """One row a run: how it ended, and how soon it came to the thresholds.
 
-    Columns: `goal_ratio` and `cvar` of the last evaluation, `area_under_curve` of the goal ratio,
+    Columns: `goal_ratio` and `cvar` of the last evaluation, the `area_under_curve` of both,
     `steps_until_0.9` (environment steps at the first of five evaluations in a row that hold it) and
     `exit_at_0.9` (at the fifth iteration in a row whose training goal ratio holds it: the paper's
     exit condition); inf where it was not reached.
@@ -71,6 +71,7 @@ def by_run(tables: StudyTables) -> pd.DataFrame:
             "goal_ratio": ratios[-1],
             "cvar": run.cvar.iloc[-1],
             "area_under_curve": area_under_curve(steps, ratios),
+            "cvar_area_under_curve": area_under_curve(steps, run.cvar.to_numpy()),
         }
         for at in THRESHOLDS:
             row[f"steps_until_{at:g}"] = steps_until(steps, ratios, at)
@@ -145,6 +146,18 @@ def write_report(folder: Path) -> str:
         f"{_millions(row['steps_until_0.9_median'])}, 0.95 from {_millions(row['steps_until_0.95_median'])}"
         for row in summaries
     ]
+    by_measure = {(row["coordinates"], row["condition"], row["measure"]): row for row in differences}
+    for coordinates, condition in dict.fromkeys(key[:2] for key in by_measure):
+        ratio, steps = (
+            by_measure[coordinates, condition, name]
+            for name in ("goal_ratio", f"steps_until_{THRESHOLDS[-1]:g}")
+        )
+        interval_of_ratio = f"[{ratio['difference_low']:+.3f}, {ratio['difference_high']:+.3f}]"
+        lines.append(
+            f"set {Path(coordinates).stem}, {condition} - {ratio['baseline']}, {ratio['pairs']} pairs: "
+            f"goal ratio {ratio['difference']:+.3f} {interval_of_ratio}; {THRESHOLDS[-1]:g} held sooner in "
+            f"{steps['better']}, as soon in {steps['equal']}, later in {steps['worse']}"
+        )
     return "\n".join(lines)
 
 
