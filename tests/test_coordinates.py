@@ -1,9 +1,12 @@
 import jax
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies
+from hypothesis.extra.numpy import arrays
 from jax import numpy as jnp
 
 import pecjax
+from pecjax.experiments.plain_files import coordinates_text
 from pecjax.world.clearance import wall_distance
 from pecjax.world.coordinates import free_regions
 
@@ -208,3 +211,31 @@ def test_a_point_that_counts_as_a_collision_is_refused(scene):
     assert gap <= scene.drone_radius
     with pytest.raises(pecjax.InputError, match="configuration 0: start"):
         check(scene, (x, -2, 5, -2))
+
+
+tables = arrays(
+    np.float32,
+    strategies.tuples(strategies.integers(1, 40), strategies.just(4)),
+    elements=strategies.floats(-1000, 1000, width=32),
+)
+
+
+@settings(deadline=None, derandomize=True, max_examples=100)
+@given(tables)
+def test_any_table_reads_back_from_its_file_as_it_was(tmp_path_factory, numbers):
+    path = tmp_path_factory.mktemp("tables") / "pairs.csv"
+    path.write_text(coordinates_text(pecjax.Configurations(start=numbers[:, :2], goal=numbers[:, 2:])))
+    table = pecjax.load_coordinates(path)
+    np.testing.assert_array_equal(np.hstack([table.start, table.goal]), numbers)
+    assert table.size == len(numbers)
+
+
+@settings(deadline=None, derandomize=True, max_examples=200)
+@given(strategies.text(max_size=60))
+def test_any_text_is_a_table_or_is_refused_in_one_line(tmp_path_factory, text):
+    path = tmp_path_factory.mktemp("texts") / "pairs.csv"
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    try:
+        assert np.isfinite(pecjax.load_coordinates(path).start).all()
+    except pecjax.InputError as error:
+        assert str(path) in str(error) and "\n" not in str(error)

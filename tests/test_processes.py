@@ -1,4 +1,4 @@
-"""Several processes that share a training: they train as one would, and end together."""
+"""Real processes: several that share a training train as one would, and end together."""
 
 import signal
 import socket
@@ -35,8 +35,9 @@ devices.keep_compiled_programs = lambda: None
 presets.PRESETS["fast"] = replace(
     studies.find_study("fig4", "smoke").run, evaluate_every=2, evaluation_episodes=6, configurations_every=3
 )
-several = ["--coordinator", f"localhost:{port}", "--num-processes", "2", "--process-id", index]
-sys.exit(cli.main(["train", *args, *several]))
+if index != "alone":
+    args += ["--coordinator", f"localhost:{port}", "--num-processes", "2", "--process-id", index]
+sys.exit(cli.main(["train", *args]))
 """
 SETTINGS = replace(
     find_study("fig4", "smoke").run, evaluate_every=2, evaluation_episodes=6, configurations_every=3
@@ -68,13 +69,14 @@ class One:
 
 @pytest.fixture
 def start(folders, tmp_path):
-    """(arguments of each of the two) -> the processes, which do not outlive the test."""
+    """(arguments of each) -> the processes, which do not outlive the test."""
     begun = []
 
     def start(*args):
         port = free_port()
         for index, own in enumerate(args):
-            command = [sys.executable, "-c", TRAIN, str(index), str(port), str(folders / "compiled"), *own]
+            name = str(index) if len(args) > 1 else "alone"
+            command = [sys.executable, "-c", TRAIN, name, str(port), str(folders / "compiled"), *own]
             begun.append(One(command, tmp_path / f"process-{len(begun)}"))
         return begun[-len(args) :]
 
@@ -171,6 +173,16 @@ def test_a_signal_to_one_stops_both_after_the_same_iteration(start, tmp_path):
     done = max(int(path.stem) for path in folder.glob("states/[0-9]*.npz"))
     assert both[1].lines() == [line] and f"stopped after iteration {done};" in line
     assert pd.read_csv(folder / "metrics.csv").iteration.tolist() == list(range(1, done + 1))
+
+
+def test_ctrl_c_ends_a_process_that_is_alone_with_130(start, tmp_path):
+    folder = tmp_path / "run"
+    begun = start(["--iterations", "100000", "--out", str(folder)])
+    wait_for("evaluation.csv", folder, begun)
+    begun[0].process.send_signal(signal.SIGINT)
+    assert exit_codes(begun, 60) == [130]
+    (line,) = begun[0].lines()
+    assert f"go on with pecjax train --resume --out {folder}" in line
 
 
 @pytest.mark.parametrize(

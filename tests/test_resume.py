@@ -6,9 +6,12 @@ import shutil
 import signal
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given, settings, strategies
+from hypothesis.extra.numpy import array_shapes, arrays as arrays_of
 
 import pecjax
 from pecjax.agents.q_network import QNetworkSettings
@@ -267,3 +270,26 @@ def test_figures_that_are_not_finite_stop_the_run(tmp_path):
 def test_options_beside_resume(whole):
     settings = presets.override(RunDirectory(whole(PPO, 1)).settings(), alpha=0.2)
     assert settings == PPO
+
+
+kinds = strategies.sampled_from([np.float32, np.float64, np.int32, np.int64, np.uint8, np.bool_])
+trees = strategies.recursive(
+    kinds.flatmap(lambda kind: arrays_of(kind, array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=5))),
+    lambda inner: (
+        strategies.lists(inner, min_size=1, max_size=3)
+        | strategies.dictionaries(strategies.text("ab/.'", max_size=5), inner, min_size=1, max_size=3)
+    ),
+    max_leaves=6,
+)
+
+
+@settings(deadline=None, derandomize=True, max_examples=100)
+@given(trees)
+def test_any_tree_of_arrays_reads_back_bit_for_bit(tmp_path_factory, tree):
+    path = tmp_path_factory.mktemp("trees") / "tree.npz"
+    write_arrays(path, tree)
+    back = read_arrays(path, tree)
+    assert jax.tree.structure(back) == jax.tree.structure(tree)
+    for found, wanted in zip(jax.tree.leaves(back), jax.tree.leaves(tree), strict=True):
+        assert found.dtype == wanted.dtype and found.shape == wanted.shape
+        assert np.asarray(found).tobytes() == wanted.tobytes()
