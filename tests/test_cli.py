@@ -274,6 +274,13 @@ def test_out_folders_that_cannot_be_had(tmp_path, refused):
         assert out in refused("check", "--out", out)
 
 
+def test_figures_that_cannot_be_written(tmp_path, run, refused):
+    shutil.copytree(run, tmp_path / "copy")
+    shutil.rmtree(tmp_path / "copy" / "figures")
+    (tmp_path / "copy" / "figures").write_text("")  # stands where the folder would
+    assert "figures/goal_ratio: cannot be written" in refused("figures", "copy")
+
+
 @pytest.mark.parametrize("command", ["eval", "figures"])
 def test_folders_that_hold_no_run(command, tmp_path, refused):
     (tmp_path / "empty").mkdir()

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pecjax.commands.drawing import draw_map
-from pecjax.errors import InputError
 from pecjax.world.coordinates import check_coordinates, load_coordinates
 from pecjax.world.navigation import NavigationSettings
 from pecjax.world.scene import load_scene
@@ -32,12 +31,7 @@ class Check:
         table = load_coordinates(self.coordinates)
         check_coordinates(scene, table, flight_height=NavigationSettings().flight_height)
         stem = self.out.with_suffix("") if self.out.suffix in (".png", ".svg") else self.out
-        try:
-            paths = draw_map(scene, table, stem)
-        except OSError as error:
-            raise InputError(
-                f"{self.out}: cannot be written ({error.strerror}); choose another --out"
-            ) from error
+        paths = draw_map(scene, table, stem)
         print(
             f"{len(scene.wall_names)} walls, {table.size} configurations: every one can be flown by a "
             f"drone of radius {scene.drone_radius:g} m; drawn to {' and '.join(map(str, paths))}"

@@ -59,9 +59,13 @@ def write_arrays(path: Path, tree: Any, about: dict[str, Any] | None = None) -> 
     path.parent.mkdir(exist_ok=True)
     new = path.with_name(f".{path.name}")
     save: Any = np.savez  # whose own arguments no place in a tree is named like
-    with new.open("wb") as file:
-        save(file, **arrays)
-    os.replace(new, path)
+    try:
+        with new.open("wb") as file:
+            save(file, **arrays)
+        os.replace(new, path)
+    except OSError:
+        new.unlink(missing_ok=True)  # on a full disk it would take the room that is wanted
+        raise
 
 
 def read_arrays(path: Path, like: Any, about: dict[str, Any] | None = None) -> Any:

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pecjax.errors import InputError
+from pecjax.experiments.plain_files import writing
 
 # Colours that stay apart in grey (Okabe & Ito).
 TRIALS, FAILURES, GOAL, PATH = "#9fb8cc", "#a0330f", "#00573f", "#1f5f99"
@@ -40,11 +41,16 @@ def read_table(path: Path, columns: set[str]) -> pd.DataFrame:
 
 
 def save(figure: Figure, path: Path) -> list[Path]:
-    """Writes a figure as PNG and SVG; `path` is without their endings."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Writes a figure as PNG and SVG; `path` is without their endings.
+
+    Raises:
+        InputError: it cannot be written there.
+    """
     paths = [path.with_name(path.name + suffix) for suffix in (".png", ".svg")]
-    figure.savefig(paths[0], dpi=150)
-    figure.savefig(paths[1], metadata={"Date": None})
+    with writing(path, "put that right and draw again"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(paths[0], dpi=150)
+        figure.savefig(paths[1], metadata={"Date": None})
     return paths
 
 

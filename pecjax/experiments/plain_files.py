@@ -106,6 +106,19 @@ def replace_file(path: Path, text: str) -> None:
     os.replace(new, path)
 
 
+@contextlib.contextmanager
+def writing(folder: Path, advice: str) -> Iterator[None]:
+    """While it is entered, a disk that is full or read-only gets its line.
+
+    Raises:
+        InputError: something could not be written, and the advice.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror}); {advice}") from error
+
+
 def check_free(folder: Path) -> None:
     """Makes sure that something new can be written into `folder`, without leaving anything there.
 

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from pecjax.errors import InputError
 from pecjax.experiments import plain_files
 from pecjax.experiments.presets import RunSettings
 from pecjax.experiments.processes import by_the_lead
@@ -37,16 +36,12 @@ class RunDirectory:
     ) -> None:
         """Writes what the run depends on: settings, map and coordinates."""
         scene = plain_files.scene_text(scene_path)
-        try:
+        with plain_files.writing(self.folder, "choose another --out"):
             self.folder.mkdir(parents=True, exist_ok=True)
             (self.folder / "figures").mkdir()
             self.scene_path.write_text(scene)
             (self.folder / "coordinates.csv").write_text(plain_files.coordinates_text(table))
             self.record(settings, num_devices)
-        except OSError as error:
-            raise InputError(
-                f"{self.folder}: cannot be written ({error.strerror}); choose another --out"
-            ) from error
 
     def settings(self) -> RunSettings:
         """Reads the settings back.

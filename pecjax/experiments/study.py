@@ -11,14 +11,14 @@ import jax
 import numpy as np
 
 from pecjax.agents.agent import Metrics
-from pecjax.errors import DivergedError, InputError, StoppedError
+from pecjax.errors import DivergedError, StoppedError
 from pecjax.experiments import tables
 from pecjax.experiments.assembly import load_world
 from pecjax.experiments.evaluation import Flights
 from pecjax.experiments.grid import Member, StudySettings
 from pecjax.experiments.interruption import Interruption
 from pecjax.experiments.measures import cvar
-from pecjax.experiments.plain_files import Row, alone
+from pecjax.experiments.plain_files import Row, alone, writing
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.study_directory import StudyDirectory, Tables, World
 from pecjax.experiments.study_program import Program, make_program
@@ -42,13 +42,13 @@ def run_study(settings: StudySettings, folder: Path) -> None:
     directory = StudyDirectory(folder)
     directory.open(settings, worlds, len(jax.devices()))
     runs = sum(map(len, settings.slices()))
-    with alone(folder), Progress(runs * settings.run.iterations) as progress, Interruption() as interruption:
-        try:
-            _make_slices(settings, worlds, directory, progress, interruption)
-        except OSError as error:
-            raise InputError(
-                f"{folder}: cannot be written ({error.strerror}); the same command goes on once it can"
-            ) from error
+    with (
+        alone(folder),
+        writing(folder, "the same command goes on once it can"),
+        Progress(runs * settings.run.iterations) as progress,
+        Interruption() as interruption,
+    ):
+        _make_slices(settings, worlds, directory, progress, interruption)
 
 
 def _make_slices(

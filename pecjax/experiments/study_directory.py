@@ -72,17 +72,13 @@ class StudyDirectory:
 
     def _create(self, content: dict[str, Any], files: dict[str, str]) -> None:
         new = self.folder.with_name(f".{self.folder.name}.new")
-        try:
+        with plain_files.writing(self.folder, "choose another --out"):
             shutil.rmtree(new, ignore_errors=True)
             (new / "slices").mkdir(parents=True)
             for name, text in files.items():
                 (new / name).write_text(text)
             (new / "study.json").write_text(plain_files.json_text(content))
             os.replace(new, self.folder)  # whole or not there: a study can be killed at any moment
-        except OSError as error:
-            raise InputError(
-                f"{self.folder}: cannot be written ({error.strerror}); choose another --out"
-            ) from error
 
     def _compare(self, content: dict[str, Any], files: dict[str, str]) -> None:
         self.settings()

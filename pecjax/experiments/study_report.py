@@ -133,12 +133,14 @@ def write_report(folder: Path) -> str:
     """Writes `runs.csv`, `summary.csv` and `paired.csv`; returns them in words.
 
     Raises:
-        InputError: the study has gathered no tables.
+        InputError: the study has gathered no tables, or its folder cannot be written.
     """
     runs = by_run(read_study(folder))
     summaries, differences = list(summary(runs)), list(paired(runs))
-    for name, rows in (("runs", runs.to_dict("records")), ("summary", summaries), ("paired", differences)):
-        plain_files.replace_file(folder / f"{name}.csv", plain_files.csv_text(rows))
+    written = {"runs": runs.to_dict("records"), "summary": summaries, "paired": differences}
+    with plain_files.writing(folder, "the same command goes on once it can"):
+        for name, rows in written.items():
+            plain_files.replace_file(folder / f"{name}.csv", plain_files.csv_text(rows))
     lines = [
         f"set {Path(row['coordinates']).stem}, {row['condition']}, {row['seeds']} seeds: goal ratio "
         f"{row['goal_ratio']:.3f} [{row['goal_ratio_low']:.3f}, {row['goal_ratio_high']:.3f}], worst tenth "

@@ -16,7 +16,7 @@ from pecjax.experiments.checkpoint import Checkpoints, Position
 from pecjax.experiments.devices import choose_num_devices
 from pecjax.experiments.interruption import Interruption
 from pecjax.experiments.loop import Clock, Iterate, Session, is_counted, is_evaluated, loop
-from pecjax.experiments.plain_files import alone, check_free
+from pecjax.experiments.plain_files import alone, check_free, writing
 from pecjax.experiments.presets import RunSettings, check_settings
 from pecjax.experiments.processes import ending_together, together
 from pecjax.experiments.progress import Progress
@@ -88,8 +88,9 @@ def resume(settings: RunSettings, folder: Path, devices: int | None = None) -> d
             if differing:
                 differing = ", ".join(differing)
                 raise InputError(f"{folder}: holds a run that differs in {differing}; leave these out")
-            if devices is None and (directory.num_devices() or 0) <= len(jax.devices()):
-                devices = directory.num_devices()
+            before = directory.num_devices()
+            if devices is None and jax.process_count() == 1 and (before or 0) <= len(jax.devices()):
+                devices = before
             num_devices = choose_num_devices(devices, settings.learner.shares)
         return _go(settings, directory, num_devices, resumed=True)
 
@@ -108,14 +109,10 @@ def _go(settings: RunSettings, directory: RunDirectory, num_devices: int, resume
         if run.agent.replay_bytes:
             progress.say(f"replay: {run.agent.replay_bytes / 1e6:,.0f} MB")
         session = Session(settings, run, directory, progress, interruption, Clock())
-        try:
+        with writing(folder, f"put that right and {_how_to_go_on(folder)}"):
             here, iterate = _go_on(session) if resumed else _begin(session)
             progress.say(f"compiled in {session.clock.compile_seconds:.1f} s")
             return loop(session, here, iterate)
-        except OSError as error:
-            raise InputError(
-                f"{folder}: cannot be written ({error.strerror}); put that right and {_how_to_go_on(folder)}"
-            ) from error
 
 
 def _begin(session: Session) -> tuple[Position, Iterate]:
