@@ -90,6 +90,8 @@ def test_a_map_that_includes_itself(edited_rooms, tmp_path):
         (("<worldbody>", "<worldbody>" + "<!-- x -->" * 200_000), "larger than"),
         (("<worldbody>", "<worldbody>" + '<site size="1"/>' * 21_000), "elements"),
         (("<worldbody>", '<worldbody><geom type="box" size="1 1 1" pos="nan 0 0"/>'), "geom_pos|compile"),
+        (('timestep="0.02"', 'timestep="nan"'), "timestep"),
+        (('timestep="0.02"', 'timestep="0.02" wind="0 1e300 0"'), "wind"),
     ],
 )
 def test_absurd_amounts_are_refused_at_once(replacement, words, edited_rooms):

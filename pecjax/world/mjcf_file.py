@@ -24,6 +24,7 @@ _NUMBERS = (
     *("geom_pos", "geom_quat", "geom_size", "site_pos", "site_quat", "numeric_data"),
     *("cam_pos", "cam_quat", "cam_fovy", "actuator_gear", "actuator_ctrlrange", "actuator_gainprm"),
 )
+_OPTIONS = ("timestep", "gravity", "wind", "density", "viscosity", "impratio", "tolerance")
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
 
 
@@ -41,8 +42,10 @@ def compile_mjcf(path: Path) -> mujoco.MjModel:
         model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, mujoco.FatalError) as error:
         raise InputError(f"{path}: MuJoCo cannot compile it: {error}") from error
-    for name in _NUMBERS:
-        if not np.all(np.abs(getattr(model, name)) < mujoco.mjMAXVAL):
+    numbers = {name: getattr(model, name) for name in _NUMBERS}
+    numbers |= {f"option {name}": getattr(model.opt, name) for name in _OPTIONS}
+    for name, value in numbers.items():
+        if not np.all(np.abs(value) < mujoco.mjMAXVAL):
             raise InputError(f"{path}: {name} holds a number that is not finite or far too large")
     return model
 
