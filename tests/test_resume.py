@@ -193,7 +193,7 @@ def test_a_run_at_its_end_has_nowhere_to_go(whole):
     assert (whole(PPO, 1) / "metrics.csv").read_bytes() == before
 
 
-def test_another_run_is_refused_and_the_difference_named(whole, tmp_path):
+def test_another_run_is_refused_and_the_difference_named(whole, tmp_path, monkeypatch):
     other = replace(PPO, alpha=0.5, seed=3, iterations=9)
     with pytest.raises(pecjax.InputError, match=r"alpha \(0.2 there, 0.5 here\), seed \(0 there, 3 here\)"):
         training.resume(other, whole(PPO, 1))
@@ -207,6 +207,9 @@ def test_another_run_is_refused_and_the_difference_named(whole, tmp_path):
         settings = replace(RunDirectory(folder).settings(), iterations=9)
         with pytest.raises(pecjax.InputError, match="alpha" if name == "config.json" else "scene.xml"):
             training.resume(settings, folder)
+    monkeypatch.setattr("importlib.metadata.version", lambda _: "0.0.1")
+    with pytest.raises(pecjax.InputError, match=r"version \('.*' there, '0.0.1' here\)"):
+        training.resume(replace(PPO, iterations=9), whole(PPO, 1))
 
 
 def test_a_state_of_other_shapes_is_refused(tmp_path):
