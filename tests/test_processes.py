@@ -202,6 +202,16 @@ def test_processes_that_cannot_begin_together(args, lines, start, tmp_path):
     assert not folder.exists()
 
 
+@pytest.mark.parametrize("index", [0, 1])
+def test_a_process_whose_fellow_never_comes(index, tmp_path):
+    wait = "from pecjax.experiments import processes; processes.JOIN_SECONDS = 3; processes.join"
+    waiting = One([sys.executable, "-c", f"{wait}('localhost:{free_port()}', 2, {index})"], tmp_path / "one")
+    assert waiting.exit_code(60) != 0
+    time.sleep(1)  # the line may come after
+    (line,) = waiting.lines()
+    assert "not all processes came within 3 s" in line
+
+
 @pytest.mark.parametrize(
     ("args", "words"),
     [

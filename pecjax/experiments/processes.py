@@ -56,13 +56,15 @@ def join(coordinator: str, number: int | None = None, index: int | None = None) 
         where = {"coordinator_address": coordinator, "num_processes": number, "process_id": index}
     # JAX would catch SIGTERM for its own kind of stop; `Interruption` is ours.
     jax.config.update("jax_enable_preemption_service", False)
+    late = f"coordinator {coordinator}: not all processes came within {JOIN_SECONDS} s"
     try:
-        jax.distributed.initialize(
-            **where,
-            initialization_timeout=JOIN_SECONDS,
-            heartbeat_timeout_seconds=HEARTBEAT_SECONDS,
-            shutdown_timeout_seconds=HEARTBEAT_SECONDS,
-        )
+        with _guarded(f"{late}; start them all, with an address that they can reach"):
+            jax.distributed.initialize(
+                **where,
+                initialization_timeout=JOIN_SECONDS,
+                heartbeat_timeout_seconds=HEARTBEAT_SECONDS,
+                shutdown_timeout_seconds=HEARTBEAT_SECONDS,
+            )
     except (RuntimeError, ValueError) as error:
         raise InputError(f"coordinator {coordinator}: the processes could not be joined ({error})") from error
 
@@ -135,16 +137,21 @@ def ending_together(advice: str) -> Iterator[None]:
     if jax.process_count() == 1:
         yield
         return
-    guard = subprocess.Popen(
-        [sys.executable, "-c", _GUARD, f"pecjax: {LOST}; {advice}\n"],
-        stdin=subprocess.PIPE,
-        start_new_session=True,
-    )
     try:
-        yield
+        with _guarded(f"{LOST}; {advice}"):
+            yield
     except jax.errors.JaxRuntimeError as error:
         if not str(error).startswith(_UNREACHED):
             raise
         raise LostProcessError(f"{LOST} ({str(error).splitlines()[0][:200]}); {advice}") from error
+
+
+@contextlib.contextmanager
+def _guarded(line: str) -> Iterator[None]:
+    """Has a process beside this one say the line should this one be struck down meanwhile."""
+    command = [sys.executable, "-c", _GUARD, f"pecjax: {line}\n"]
+    guard = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
+    try:
+        yield
     finally:
         guard.communicate(b".")
