@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+HUNG_SECONDS = 600  # without going on, whatever else the machine does
 TRAIN = """
 import shutil
 import sys
@@ -78,7 +79,7 @@ def kill_and_go_on(folder: Path, cache: Path, iterations: int, kills: int, rng: 
             process = subprocess.Popen(command(folder, cache, iterations), stderr=file)
         if done < kills:
             # One in five before it trains at all; the others within two seconds of its first new row.
-            early, before, deadline = rng.random() < 0.2, rows(folder), time.monotonic() + 120
+            early, before, deadline = rng.random() < 0.2, rows(folder), time.monotonic() + HUNG_SECONDS
             while not early and process.poll() is None and rows(folder) <= before:
                 assert time.monotonic() < deadline, "did not go on"
                 time.sleep(0.005)
@@ -87,6 +88,7 @@ def kill_and_go_on(folder: Path, cache: Path, iterations: int, kills: int, rng: 
                 process.kill()
                 process.wait()
                 done += 1
+                print(f"kill {done} of this run, at {rows(folder)} rows", flush=True)
                 continue
         assert process.wait() == 0, said.read_text()[-2000:]
     return done
