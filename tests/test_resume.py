@@ -122,8 +122,12 @@ def test_a_second_signal_stops_at_once(tmp_path, monkeypatch):
         raise AssertionError("was not stopped")
 
     monkeypatch.setattr(loop.tables, "metrics_row", ask_twice)
-    with pytest.raises(KeyboardInterrupt) as stop:
-        training.train(PPO, tmp_path / "run", devices=1)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs tests may ignore it
+    try:
+        with pytest.raises(KeyboardInterrupt) as stop:
+            training.train(PPO, tmp_path / "run", devices=1)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert not isinstance(stop.value, StoppedError)
 
 
