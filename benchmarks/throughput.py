@@ -21,7 +21,7 @@ from pathlib import Path
 
 import jax
 import learning
-import runs
+import trainings
 import workloads as w
 from workloads import Workload
 
@@ -150,7 +150,7 @@ def studies() -> Group:
     group = {"training, one run": learning.training(env, sampler, w.device_mesh(), PPOSettings())}
     for number, at_once in ((2, 2), (5, 2), (4, 4)):
         alphas = tuple(0.1 * k for k in range(number))
-        group[f"study of {number} α, {at_once} runs at once"] = runs.study(alphas, at_once)
+        group[f"study of {number} α, {at_once} runs at once"] = trainings.study(alphas, at_once)
     return group
 
 
@@ -158,7 +158,7 @@ def checkpoints() -> Group:
     """The iterations from one checkpoint to the next, and the checkpoint."""
     group: Group = {}
     for name in ("fast", "apex-fast"):
-        interval, checkpoint = runs.checkpointing(PRESETS[name])
+        interval, checkpoint = trainings.checkpointing(PRESETS[name])
         group |= {f"{name}: an interval's iterations": interval, f"{name}: its checkpoint": checkpoint}
     return group
 

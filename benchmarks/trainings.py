@@ -1,4 +1,4 @@
-"""Runs: workloads of whole trainings, several at once, and of what they keep."""
+"""Trainings: workloads of whole ones, several at once, and of what they keep."""
 
 from __future__ import annotations
 
