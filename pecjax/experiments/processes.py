@@ -138,7 +138,7 @@ def ending_together(advice: str) -> Iterator[None]:
         yield
         return
     try:
-        with _guarded(f"{LOST}; {advice}"):
+        with _guarded(f"struck down, most likely since {LOST}; {advice}"):
             yield
     except jax.errors.JaxRuntimeError as error:
         if not str(error).startswith(_UNREACHED):
