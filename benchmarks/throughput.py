@@ -228,7 +228,8 @@ def main() -> None:
         rates = {case: work.amount / seconds[case] for case, work in group.items()}
         first = next(iter(rates.values()))
         for case, rate in rates.items():
-            print(f"  {case:40} {rate:14,.0f} {group[case].unit:16} {rate / first:8.3f} ×")
+            shown = f"{rate:,.0f}" if rate >= 100 else f"{rate:.3g}"
+            print(f"  {case:40} {shown:>14} {group[case].unit:16} {rate / first:8.3f} ×")
         results[name] = {case: {"rate": rate, "ratio": rate / first} for case, rate in rates.items()}
     facts = environment_facts(len(jax.devices()))
     args.out.write_text(json.dumps({"results": results} | facts, indent=2) + "\n")

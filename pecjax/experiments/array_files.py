@@ -1,6 +1,6 @@
 """Array files: a pytree of arrays as one .npz file, whole or not there, and read without pickle.
 
-NumPy's format keeps a checksum of every array; a state of 30 MB takes a tenth of a second.
+NumPy's format keeps a checksum of every array; `docs/reliability.md` has what writing one costs.
 """
 
 from __future__ import annotations
