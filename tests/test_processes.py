@@ -1,5 +1,6 @@
 """Real processes: several that share a training train as one would, and end together."""
 
+import functools
 import signal
 import socket
 import subprocess
@@ -32,16 +33,17 @@ jax.config.update("jax_compilation_cache_dir", cache)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 devices.use_all_cores = lambda: jax.config.update("jax_num_cpu_devices", 2)
 devices.keep_compiled_programs = lambda: None
-presets.PRESETS["fast"] = replace(
-    studies.find_study("fig4", "smoke").run, evaluate_every=2, evaluation_episodes=6, configurations_every=3
-)
+for preset, study in (("fast", "fig4"), ("apex-fast", "fig14")):
+    smoke = studies.find_study(study, "smoke").run
+    presets.PRESETS[preset] = replace(smoke, evaluation_episodes=6, configurations_every=3)
 if index != "alone":
     args += ["--coordinator", f"localhost:{port}", "--num-processes", "2", "--process-id", index]
 sys.exit(cli.main(["train", *args]))
 """
-SETTINGS = replace(
-    find_study("fig4", "smoke").run, evaluate_every=2, evaluation_episodes=6, configurations_every=3
-)
+SETTINGS = {
+    algorithm: replace(find_study(study, "smoke").run, evaluation_episodes=6, configurations_every=3)
+    for algorithm, study in (("ppo", "fig4"), ("apex", "fig14"))
+}
 SECONDS_TO_NOTICE = 60
 
 
@@ -99,10 +101,14 @@ def wait_for(pattern, folder, both):
 
 @pytest.fixture(scope="module")
 def alone(folders):
-    """The same training in this process, on as many devices."""
-    folder = folders / "alone"
-    training.train(replace(SETTINGS, iterations=4), folder, devices=4)
-    return folder
+    """(algorithm) -> the folder of the same training in this process, on as many devices."""
+
+    @functools.cache
+    def alone(algorithm):
+        training.train(replace(SETTINGS[algorithm], iterations=4), folders / algorithm, devices=4)
+        return folders / algorithm
+
+    return alone
 
 
 def assert_as_alone(folder, alone):
@@ -125,17 +131,18 @@ def assert_as_alone(folder, alone):
 TABLES = ("metrics", "evaluation", "configurations")
 
 
-def test_two_processes_train_as_one(start, alone, tmp_path):
+@pytest.mark.parametrize("algorithm", SETTINGS)
+def test_two_processes_train_as_one(algorithm, start, alone, tmp_path):
     """And go on together from where they came to."""
     folder = tmp_path / "run"
-    args = ["--iterations", "2", "--out", str(folder)]
+    args = ["--algorithm", algorithm, "--iterations", "2", "--out", str(folder)]
     assert exit_codes(start(args, args)) == [0, 0]
     args = ["--iterations", "4", "--out", str(folder), "--resume"]
     both = start(args, args)
     assert exit_codes(both) == [0, 0]
     assert "goal ratio" in both[0].out.read_text()
     assert "goal ratio" not in both[1].out.read_text() + both[1].err.read_text()  # the lead speaks
-    assert_as_alone(folder, alone)
+    assert_as_alone(folder, alone(algorithm))
     assert len(list((folder / "figures").glob("*.png"))) == 5
 
 
@@ -153,11 +160,11 @@ def test_a_process_that_dies_ends_the_others_and_the_run_goes_on(struck, start, 
     # What is there is whole: this process alone goes on from it, on as many devices.
     done = max(int(path.stem) for path in folder.glob("states/[0-9]*.npz"))
     last = max(done + 1, 4)
-    training.resume(replace(SETTINGS, iterations=last), folder)
+    training.resume(replace(SETTINGS["ppo"], iterations=last), folder)
     metrics = pd.read_csv(folder / "metrics.csv")
     assert metrics.iteration.tolist() == list(range(1, last + 1))
     found, wanted = (
-        table.drop(columns="seconds")[:4] for table in (metrics, pd.read_csv(alone / "metrics.csv"))
+        table.drop(columns="seconds")[:4] for table in (metrics, pd.read_csv(alone("ppo") / "metrics.csv"))
     )
     pd.testing.assert_frame_equal(found, wanted, rtol=2e-4, atol=1e-5)
 
