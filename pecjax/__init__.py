@@ -1,11 +1,12 @@
 """pecjax: drones that find their way through rooms, trained on the accelerator with PEC."""
 
 import contextlib
+import importlib
 import io
 
 # mjx prints a line to stdout where its optional Warp back-end is absent; stdout is for results.
 with contextlib.redirect_stdout(io.StringIO()):
-    import mujoco.mjx  # noqa: F401 - for its line alone
+    importlib.import_module("mujoco.mjx")
 
 from pecjax import agents as agents, curriculum as curriculum
 from pecjax.errors import InputError as InputError

@@ -1,16 +1,15 @@
 """Fixtures shared by the tests: scenes, an environment, and maps made by editing the shipped one."""
 
 import jax
+import pytest
+from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
-# Before JAX starts: the tests of several devices need four, and CPUs can pretend to be.
-# What is imported below (E402) may start JAX, so it comes after.
+import pecjax
+from pecjax.world.scene import default_scene_path
+
+# The tests of several devices need four, and CPUs can pretend to be. JAX has not started yet: importing
+# pecjax does not (`test_architecture.py`).
 jax.config.update("jax_num_cpu_devices", 4)
-
-import pytest  # noqa: E402
-from jax.experimental.compilation_cache.compilation_cache import reset_cache  # noqa: E402
-
-import pecjax  # noqa: E402
-from pecjax.world.scene import default_scene_path  # noqa: E402
 
 # Differs from rooms.xml in all that a map may choose: a floor, walls that hang in bodies or are turned
 # by right angles, something there only for show, and another drone with another camera.

@@ -27,7 +27,7 @@ class BrokenFileError(Exception):
 
 
 _ABOUT = "about"
-# All that Python's and NumPy's readers were seen to raise over files with changed bytes.
+# What Python's and NumPy's readers raise over files with changed bytes.
 _UNREADABLE = (
     OSError,
     ValueError,
