@@ -13,7 +13,7 @@ from workloads import SAME, Workload, sharded, waiting
 import pecjax
 from pecjax.agents import AXIS, apex, apex_update, ppo, ppo_update, replay, shard
 from pecjax.agents.networks import ActorCritic, draw_action, encode, forward
-from pecjax.agents.rollout import Trajectory
+from pecjax.agents.rollout import Trajectory, env_keys
 from pecjax.curriculum import Outcomes, Sampler
 
 
@@ -97,6 +97,28 @@ def curriculum(sampler: Sampler, num_configs: int, draws: int) -> tuple[Workload
     copy = jax.jit(lambda counts: counts + 1)
     run = waiting(program, sampler.init(), jax.random.key(0))
     return Workload(run, 1, "times/s"), Workload(waiting(copy, counts), 1, "times/s")
+
+
+def sampling(sampler: Sampler, num_configs: int, mesh: Mesh, settings: ppo_update.PPOSettings) -> Workload:
+    """A sampler's own part of an iteration: every environment's draws, and what it learns of endings."""
+    shape = (settings.num_steps, settings.num_envs)
+    key_id, key_done, key_failed = jax.random.split(jax.random.key(0), 3)
+    outcomes = Outcomes(
+        jax.random.randint(key_id, shape, 0, num_configs),
+        jax.random.bernoulli(key_done, 1 / 40, shape),  # episodes of some forty steps
+        jax.random.bernoulli(key_failed, 0.1, shape),
+    )
+
+    def draw_and_learn(state, key, env_ids, outcomes):
+        keys = env_keys(key, env_ids)
+        ids = jax.vmap(lambda k: sampler.sample(state, k, shape[:1]), out_axes=1)(keys)
+        return sampler.update(state, outcomes, AXIS), ids
+
+    over_envs = PartitionSpec(None, AXIS)
+    specs = (SAME, SAME, PartitionSpec(AXIS), over_envs)
+    program = sharded(draw_and_learn, mesh, specs, (SAME, over_envs))
+    run = waiting(program, sampler.init(), key_id, jnp.arange(shape[1]), outcomes)
+    return Workload(run, shape[0] * shape[1], "control steps/s")
 
 
 REPLAY_ENVS, REPLAY_STEPS, REPLAY_DRAWS, N_STEP = 128, 2, 512, 3

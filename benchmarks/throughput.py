@@ -104,13 +104,13 @@ def devices() -> Group:
 
 
 def samplers() -> Group:
-    """Training end to end under uniform sampling and under PEC."""
+    """Training end to end under uniform sampling and under PEC, and each sampler's own part of it."""
     env, mesh = pecjax.RoomsNavigation(pecjax.load_scene()), w.device_mesh()
     size = pecjax.COORDINATE_SET_1.size
-    return {
-        f"training, {name}": learning.training(env, sampler, mesh, PPOSettings())
-        for name, sampler in (("uniform", uniform(size)), ("PEC", pec(size)))
-    }
+    both = {"uniform": uniform(size), "PEC": pec(size)}
+    whole = {f"training, {k}": learning.training(env, s, mesh, PPOSettings()) for k, s in both.items()}
+    parts = {f"{k} alone": learning.sampling(s, size, mesh, PPOSettings()) for k, s in both.items()}
+    return whole | parts
 
 
 def large_curricula() -> Group:
