@@ -1,9 +1,9 @@
-"""Kills a training again and again at random moments, lets it go on, and compares with one left alone.
+"""Kills a training or a study again and again, lets it go on, and compares with one left alone.
 
-    python tests/kills.py [--kills 50] [--seed 0]
+    python tests/kills.py [--what training|study] [--kills 50] [--seed 0]
 
 Every process is killed with SIGKILL, at a moment drawn between its start and some time after it has
-gone on training. `test_kills.py` does the same a few times.
+gone on. `test_kills.py` does the same a few times.
 """
 
 from __future__ import annotations
@@ -15,13 +15,15 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 HUNG_SECONDS = 600  # without going on, whatever else the machine does
-TRAIN = """
+HEAD = """
 import shutil
 import sys
 from dataclasses import replace
@@ -29,33 +31,58 @@ from pathlib import Path
 
 import jax
 
-from pecjax.experiments import training
+from pecjax.experiments import study, training
 from pecjax.experiments.studies import find_study
 
-jax.config.update("jax_compilation_cache_dir", sys.argv[2])
+folder, cache, size = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+jax.config.update("jax_compilation_cache_dir", cache)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+smoke = find_study("fig4", "smoke")
+"""
+TRAINING = """
 settings = replace(
-    find_study("fig4", "smoke").run,
-    iterations=int(sys.argv[3]), evaluate_every=4, evaluation_episodes=3, configurations_every=3,
+    smoke.run, iterations=size, evaluate_every=4, evaluation_episodes=3, configurations_every=3
 )
-folder = Path(sys.argv[1])
-if any(folder.glob("states/[0-9]*.npz")):
+if (folder / "states" / f"{size}.npz").exists():
+    pass  # the last that a training writes
+elif any(folder.glob("states/[0-9]*.npz")):
     training.resume(settings, folder)
 else:
     shutil.rmtree(folder, ignore_errors=True)
     training.train(settings, folder, devices=1)
 """
+STUDY = """
+run = replace(smoke.run, evaluate_every=1, evaluation_episodes=3)
+study.run_study(replace(smoke, run=run, seeds=tuple(range(size)), at_once=1), folder)
+"""
 
 
-def command(folder: Path, cache: Path, iterations: int) -> list[str]:
-    return [sys.executable, "-c", TRAIN, str(folder), str(cache), str(iterations)]
+class Victim(NamedTuple):
+    """What is killed.
+
+    Attributes:
+        script: goes on with what is in the folder, or begins it.
+        size: iterations of a training, seeds of a study.
+        progress: of a folder, a number that grows as it goes on.
+        digest: of a folder, sums of all that is left at the end, but for the time it took.
+    """
+
+    script: str
+    size: int
+    progress: Callable[[Path], int]
+    digest: Callable[[Path], dict[str, str]]
+
+    def command(self, folder: Path, cache: Path) -> list[str]:
+        return [sys.executable, "-c", HEAD + self.script, str(folder), str(cache), str(self.size)]
 
 
-def digest(folder: Path) -> dict[str, str]:
-    """Of everything that a run leaves, but for the time it took."""
-    found = {}
-    for name in ("configurations.csv", "evaluation.csv", "trajectories.csv"):
-        found[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
+def sums_of(folder: Path, *patterns: str) -> dict[str, str]:
+    paths = sorted(path for pattern in patterns for path in folder.glob(pattern))
+    return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in paths}
+
+
+def digest_of_training(folder: Path) -> dict[str, str]:
+    found = sums_of(folder, "configurations.csv", "evaluation.csv", "trajectories.csv")
     metrics = pd.read_csv(folder / "metrics.csv", dtype=str).drop(columns="seconds")
     found["metrics.csv"] = hashlib.sha256(metrics.to_csv().encode()).hexdigest()
     newest = max((folder / "states").glob("*.npz"), key=lambda path: int(path.stem))
@@ -71,16 +98,31 @@ def rows(folder: Path) -> int:
     return path.read_bytes().count(b"\n") if path.exists() else 0
 
 
-def kill_and_go_on(folder: Path, cache: Path, iterations: int, kills: int, rng: random.Random) -> int:
-    """Trains to the end through so many kills; returns how many struck before it."""
+def training(iterations: int) -> Victim:
+    return Victim(TRAINING, iterations, rows, digest_of_training)
+
+
+def study(seeds: int) -> Victim:
+    """A study of two samplers; each of its slices is one run of four iterations."""
+    return Victim(
+        STUDY,
+        seeds,
+        lambda folder: len(list((folder / "slices").glob("[0-9]*"))),
+        lambda folder: sums_of(folder, "*.csv", "study.json", "slices/*/*", "slices/.*"),
+    )
+
+
+def kill_and_go_on(victim: Victim, folder: Path, cache: Path, kills: int, rng: random.Random) -> int:
+    """Goes on to the end through so many kills; returns how many struck before it."""
     done, said = 0, folder.with_suffix(".err")
-    while not (folder / "states" / f"{iterations}.npz").exists():  # the last that a training writes
+    while True:
+        before = victim.progress(folder)
         with said.open("w") as file:  # a pipe that nobody empties would hold it up
-            process = subprocess.Popen(command(folder, cache, iterations), stderr=file)
+            process = subprocess.Popen(victim.command(folder, cache), stderr=file)
         if done < kills:
-            # One in five before it trains at all; the others within two seconds of its first new row.
-            early, before, deadline = rng.random() < 0.2, rows(folder), time.monotonic() + HUNG_SECONDS
-            while not early and process.poll() is None and rows(folder) <= before:
+            # One in five before it goes on at all; the others within two seconds of its first step.
+            early, deadline = rng.random() < 0.2, time.monotonic() + HUNG_SECONDS
+            while not early and process.poll() is None and victim.progress(folder) <= before:
                 assert time.monotonic() < deadline, "did not go on"
                 time.sleep(0.005)
             time.sleep(rng.uniform(0, 6 if early else 2) * rng.random())
@@ -88,30 +130,32 @@ def kill_and_go_on(folder: Path, cache: Path, iterations: int, kills: int, rng: 
                 process.kill()
                 process.wait()
                 done += 1
-                print(f"kill {done} of this run, at {rows(folder)} rows", flush=True)
+                print(f"kill {done} of this run, at {victim.progress(folder)}", flush=True)
                 continue
         assert process.wait() == 0, said.read_text()[-2000:]
-    return done
+        return done
 
 
 def main() -> None:
     """Runs, kills, compares and reports."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--what", choices=("training", "study"), default="training")
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    rng = random.Random(args.seed)
-    struck = runs = 0
+    rng, struck, runs = random.Random(args.seed), 0, 0
+    victim = training(400) if args.what == "training" else study(12)
     with tempfile.TemporaryDirectory() as name:
         home = Path(name)
-        subprocess.run(command(home / "whole", home / "cache", 400), check=True, stderr=subprocess.DEVNULL)
-        wanted = digest(home / "whole")
+        whole, cache = home / "whole", home / "cache"
+        subprocess.run(victim.command(whole, cache), check=True, stderr=subprocess.DEVNULL)
+        wanted = victim.digest(whole)
         while struck < args.kills:
             runs += 1
             folder = home / f"killed-{runs}"
-            struck += kill_and_go_on(folder, home / "cache", 400, args.kills - struck, rng)
-            found = digest(folder)
-            assert found == wanted, {name for name in wanted if found.get(name) != wanted[name]}
+            struck += kill_and_go_on(victim, folder, cache, args.kills - struck, rng)
+            found = victim.digest(folder)
+            assert found == wanted, {name for name in wanted | found if found.get(name) != wanted.get(name)}
             print(f"{struck} kills, {runs} run(s), every file as in the run left alone", flush=True)
     print(f"{struck} kills in {runs} run(s): lost 0")
 

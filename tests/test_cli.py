@@ -254,6 +254,34 @@ def test_bad_options_of_train(options, words, refused):
         assert word in complaint
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["fig5"], ["unknown study 'fig5'", "fig4", "fig14"]),
+        (["fig4", "--scale", "huge"], ["unknown scale 'huge'", "smoke"]),
+        (["--scale", "smoke"], ["scale is of the paper's studies"]),
+        (["fig14", "--preset", "rllib085"], ["rllib085 is of ppo and fig14 of apex"]),
+        (["--preset", "slow"], ["unknown preset 'slow'"]),
+        (["--samplers", "pec", "bandit"], ["unknown sampler 'bandit'"]),
+        (["--samplers"], ["samplers is empty"]),
+        (["--seeds"], ["seeds is empty"]),
+        (["--alphas"], ["alphas is empty"]),
+        (["--alphas", "0", "-1"], ["alpha is -1"]),
+        (["--seeds", "0-"], ["seeds: '0-' is neither"]),
+        (["--seeds", "9-0"], ["'9-0' must rise"]),
+        (["--seeds", "0-4", "3"], ["seeds names 3 more than once"]),
+        (["--at-once", "0"], ["at-once is 0"]),
+        (["--out", "file"], ["file: is a file"]),
+    ],
+    ids=lambda value: " ".join(value),
+)
+def test_bad_options_of_study(options, words, refused, tmp_path):
+    (tmp_path / "file").write_text("")
+    complaint = refused("study", *options)
+    for word in words:
+        assert word in complaint
+
+
 def test_no_command_and_an_unknown_one(refused):
     refused()
     assert "fly" in refused("fly")

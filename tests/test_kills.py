@@ -1,14 +1,16 @@
-"""A training that is killed a few times ends as one left alone; `kills.py` does it fifty times."""
+"""What is killed a few times ends as what is left alone; `kills.py` does it fifty times."""
 
 import random
 import subprocess
 
 import kills
+import pytest
 
 
-def test_a_killed_training_loses_nothing(tmp_path):
-    iterations, cache = 60, tmp_path / "cache"
-    subprocess.run(kills.command(tmp_path / "whole", cache, iterations), check=True, timeout=600)
-    struck = kills.kill_and_go_on(tmp_path / "killed", cache, iterations, 3, random.Random(5))
+@pytest.mark.parametrize("victim", [kills.training(60), kills.study(3)], ids=["training", "study"])
+def test_what_is_killed_loses_nothing(victim, tmp_path):
+    cache = tmp_path / "cache"
+    subprocess.run(victim.command(tmp_path / "whole", cache), check=True, timeout=600)
+    struck = kills.kill_and_go_on(victim, tmp_path / "killed", cache, 3, random.Random(5))
     assert struck >= 1
-    assert kills.digest(tmp_path / "killed") == kills.digest(tmp_path / "whole")
+    assert victim.digest(tmp_path / "killed") == victim.digest(tmp_path / "whole")

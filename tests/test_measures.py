@@ -1,6 +1,9 @@
 """Measures against SciPy, hand counts and the definitions in Agarwal et al. (2021)."""
 
+import itertools
+
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
 
@@ -11,8 +14,10 @@ from pecjax.experiments.measures import (
     interquartile_mean,
     interval,
     paired_difference,
+    sign_flip_p,
     steps_to_exit,
     steps_until,
+    trial_and_failure_ratios,
 )
 
 
@@ -86,3 +91,26 @@ def test_paired_differences_are_taken_pair_by_pair():
     assert paired_difference(ours, theirs) == pytest.approx((0.5, 0.5, 0.5))
     value, low, high = paired_difference(ours, theirs[::-1])
     assert value == pytest.approx(0.5) and low < 0.5 < high
+
+
+@pytest.mark.parametrize("differences", [[0.3, -0.1, 0.2, 0.25, 0.0], [1.0, 2.0, 3.0], [0.0, 0.0], [-0.4]])
+def test_p_is_the_share_of_exchanged_pairs_that_differ_as_much(differences):
+    signs = np.array(list(itertools.product((-1, 1), repeat=len(differences))))
+    means = np.abs((signs * differences).mean(axis=1))
+    as_much = means >= abs(np.mean(differences)) - 1e-12
+    assert sign_flip_p(np.array(differences)) == pytest.approx(as_much.mean())
+
+
+def test_p_of_many_pairs_is_near_that_of_a_t_test():
+    differences = np.random.default_rng(3).normal(0.3, 1, 40)
+    assert sign_flip_p(differences) == pytest.approx(stats.ttest_1samp(differences, 0).pvalue, abs=0.02)
+    assert sign_flip_p(differences) == sign_flip_p(differences)
+
+
+def test_trial_and_failure_ratios_are_of_their_own_run():
+    counts = pd.DataFrame({"seed": [0, 0, 1, 1], "trials": [6, 2, 5, 0], "failures": [3, 2, 1, 0]})
+    ratios = trial_and_failure_ratios(counts, ["seed"])
+    assert ratios.trial.tolist() == [0.75, 0.25, 1.0, 0.0]
+    assert ratios.failure.tolist()[:3] == [0.5, 1.0, 0.2] and np.isnan(ratios.failure[3])
+    untried = trial_and_failure_ratios(counts.assign(trials=0, failures=0), ["seed"])
+    assert (untried.trial == 0).all() and untried.failure.isna().all()

@@ -1,11 +1,13 @@
 """Studies: what a grid is cut into, that its runs are true ones, and that stopping loses nothing."""
 
 import hashlib
+import json
 import os
 import resource
 import shutil
 import signal
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -14,6 +16,7 @@ import pytest
 import pecjax
 from pecjax.errors import DivergedError, StoppedError
 from pecjax.experiments import study_directory, study_figures, study_report, training
+from pecjax.experiments.assembly import make_agent
 from pecjax.experiments.grid import Member, StudySettings
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.studies import SCALES, STUDIES, find_study
@@ -215,11 +218,25 @@ def test_a_signal_stops_a_study_between_evaluations(asked, study, settings, tmp_
 
     with monkeypatch.context() as patched:
         patched.setattr(Progress, "advance", interrupt)
-        with pytest.raises(StoppedError, match="the same command goes on") as stop:
+        with pytest.raises(StoppedError, match="the same command keeps what is finished") as stop:
             run_study(settings, tmp_path / "study")
     assert stop.value.signal == asked
     run_study(settings, tmp_path / "study")
     assert digests(tmp_path / "study") == digests(study)
+
+
+def test_a_signal_at_the_end_of_a_slice_keeps_it_and_begins_no_other(settings, tmp_path, monkeypatch):
+    write = StudyDirectory.write_slice
+
+    def interrupt(self, number, tables):
+        os.kill(os.getpid(), signal.SIGINT)
+        write(self, number, tables)
+
+    monkeypatch.setattr(StudyDirectory, "write_slice", interrupt)
+    with pytest.raises(StoppedError):
+        run_study(settings, tmp_path / "study")
+    assert [path.name for path in (tmp_path / "study" / "slices").iterdir()] == ["0000"]
+    assert len(pd.read_csv(tmp_path / "study" / "results.csv")) == 2 * 2
 
 
 def test_a_full_disk_is_said_and_the_study_goes_on_afterwards(study, settings, tmp_path):
@@ -297,6 +314,60 @@ def test_another_studys_folder_is_refused_and_the_difference_named(study, settin
         file.write("0 -2 0.7 -2\n5 -2.4 5 -3.2\n-5 -2 -5 -1.2\n")
 
 
+def test_a_study_that_goes_on_at_another_commit_says_so(study, settings, monkeypatch, capsys):
+    monkeypatch.setattr(study_directory, "git_commit", lambda: "f00df00d")
+    run_study(settings, study)
+    begun = json.loads((study / "study.json").read_text())["git_commit"]
+    if begun:  # the tests may run outside a checkout
+        assert f"begun at commit {begun[:7]} and goes on at f00df00" in capsys.readouterr().err
+
+
+def test_what_else_lies_among_the_slices_is_left_alone(study, settings, tmp_path):
+    folder = tmp_path / "study"
+    shutil.copytree(study, folder)
+    shutil.copytree(folder / "slices" / "0001", folder / "slices" / "0001 copy")
+    (folder / "slices" / ".DS_Store").write_text("")
+    run_study(settings, folder)
+    assert digests(folder) == digests(study)
+    assert (folder / "slices" / ".DS_Store").exists()
+
+
+def test_a_study_killed_while_its_folder_is_made_begins_again(study, settings, tmp_path, monkeypatch):
+    def kill(*_):
+        raise KilledError
+
+    place = tmp_path / "here"
+    place.mkdir()
+    monkeypatch.chdir(place)  # a folder that is there and empty will do
+    with monkeypatch.context() as patched:
+        patched.setattr(study_directory.plain_files, "coordinates_text", lambda table: table.no_such_thing)
+        with pytest.raises(AttributeError):
+            run_study(settings, Path("."))
+    assert not list(place.iterdir())
+    with monkeypatch.context() as patched:
+        patched.setattr(study_directory.os, "replace", kill)
+        with pytest.raises(KilledError):
+            run_study(settings, Path("."))
+    assert not (place / "study.json").exists() and (place / "scene.xml").exists()
+    run_study(settings, Path("."))
+    assert digests(place) == digests(study)
+
+
+def test_a_study_knows_what_its_replays_take(monkeypatch):
+    apex = find_study("fig14", "smoke").run
+    scene = pecjax.load_scene()
+    asked = []
+    monkeypatch.setattr(
+        "pecjax.experiments.study_program.check_memory", lambda needed, devices: asked.append(needed)
+    )
+    for runs in (1, 4):
+        make_program(apex, scene, pecjax.COORDINATE_SET_1, runs)
+    agent = make_agent(
+        apex, pecjax.RoomsNavigation(scene), pecjax.COORDINATE_SET_1, pecjax.curriculum.pec(20)
+    )
+    assert asked == [agent.replay_bytes, 4 * agent.replay_bytes]
+
+
 def test_the_folder_of_a_run_is_no_place_for_a_study(settings, tmp_path):
     (tmp_path / "config.json").write_text("{}")
     with pytest.raises(pecjax.InputError, match="holds another run"):
@@ -320,9 +391,24 @@ def test_the_report_is_of_the_tables(study):
     difference = pec - uniform.set_index("seed").goal_ratio
     assert found.difference == pytest.approx(difference.mean(), abs=1e-6)
     assert found.better == (difference > 0).sum() and found.worse == (difference < 0).sum()
+    assert found.p in (0.5, 1.0)  # all that two pairs can have
     # Nothing this short holds a threshold: no figure is made up for it.
     never = paired.loc[("pec, α = 3", "steps_until_0.95")]
-    assert never.pairs == 0 and np.isnan(never.difference)
+    assert never.pairs == 0 and np.isnan(never.difference) and np.isnan(never.p)
+
+
+def test_what_the_report_says_of_training_is_of_the_tables(study):
+    study_report.write_report(study)
+    runs = pd.read_csv(study / "runs.csv").set_index(["condition", "seed"])
+    metrics, configurations = (pd.read_csv(study / f"{name}.csv") for name in TABLES[1:])
+    mine = (metrics.alpha == 3) & (metrics.seed == 7)
+    run = runs.loc[("pec, α = 3", 7)]
+    assert run.training_goal_ratio == pytest.approx(metrics[mine].goal_ratio.mean(), rel=1e-5)
+    counts = configurations.query("alpha == 3 and seed == 7 and iteration == 3")
+    trial = counts.trials / counts.trials.sum()
+    assert (run.least_trial_ratio, run.greatest_trial_ratio) == pytest.approx((trial.min(), trial.max()))
+    assert run.failure_ratio == pytest.approx((counts.failures / counts.trials).mean(), rel=1e-5)
+    assert np.isnan(runs.alpha[("uniform", 4)]) and run.alpha == 3
 
 
 def test_every_figure_of_a_study_is_drawn(study):

@@ -31,21 +31,21 @@ class Study:
         name: one of the paper's experiments: fig4 (PPO, set 1), fig8 (set 2), fig11 (α), fig14
             (Ape-X). (default: a grid of your own)
         scale: of a named study: smoke (seconds, to try it), laptop (our presets, for two cores) or
-            paper (its iteration counts and RLlib's settings).
-        preset: the settings all runs share. (default: the study's, or fast)
-        samplers: pec, uniform or both. (default: both)
-        alphas: each is tried with pec. (default: 0.2)
-        coordinates: the paper's sets 1 and 2, or files. (default: 1)
-        seeds: numbers, or ranges such as 0-9. (default: 0-4)
-        iterations: of each run. (default: the preset's)
-        evaluate_every: iterations between evaluations. (default: the preset's)
+            paper (its iteration counts and RLlib's settings). (default: laptop)
+        preset: the settings all runs share. (default: the study's; for a grid of your own, fast)
+        samplers: pec, uniform or both. (default: the study's, or both)
+        alphas: each is tried with pec. (default: the study's, or 0.2)
+        coordinates: the paper's sets 1 and 2, or files. (default: the study's, or 1)
+        seeds: numbers, or ranges such as 0-9. (default: the study's, or 0-4)
+        iterations: of each run. (default: the study's, or the preset's where one is given)
+        evaluate_every: iterations between evaluations. (default: as for the iterations)
         scene: a map and drone in MJCF. (default: the paper's six rooms)
         at_once: runs in one program. (default: as many as there are devices)
-        out: the study's folder. (default: studies/NAME-SCALE)
+        out: the study's folder. (default: studies/NAME-SCALE, or studies/own)
     """
 
     name: Annotated[str | None, tyro.conf.Positional] = None
-    scale: str = "laptop"
+    scale: str | None = None
     preset: str | None = None
     samplers: tuple[str, ...] | None = None
     alphas: tuple[float, ...] | None = None
@@ -59,18 +59,16 @@ class Study:
 
     def run(self) -> None:
         """Trains, summarizes and draws."""
-        folder = self.out or Path("studies") / (f"{self.name}-{self.scale}" if self.name else "own")
+        default = f"{self.name}-{self.scale or 'laptop'}" if self.name else "own"
+        folder = self.out or Path("studies") / default
         run_study(self._settings(folder), folder)
         report = importlib.import_module("pecjax.experiments.study_report")
         print(report.write_report(folder))
         draw(folder)
-        print(f"{folder}: results.csv, summary.csv, paired.csv and figures/")
+        print(f"{folder}: results.csv, runs.csv, summary.csv, paired.csv and figures/")
 
     def _settings(self, folder: Path) -> StudySettings:
-        study = (
-            find_study(self.name, self.scale) if self.name else StudySettings("own", presets.PRESETS["fast"])
-        )
-        run = study.run if self.preset is None else presets.find_preset(self.preset)
+        study = self._base()
         at_once = self.at_once
         if at_once is None and (folder / "study.json").is_file():
             at_once = StudyDirectory(folder).settings().at_once  # as it was begun
@@ -82,10 +80,25 @@ class Study:
             "at_once": len(jax.devices()) if at_once is None else at_once,
         }
         run = presets.override(
-            run, iterations=self.iterations, evaluate_every=self.evaluate_every, scene=self.scene
+            study.run, iterations=self.iterations, evaluate_every=self.evaluate_every, scene=self.scene
         )
         given = {name: value for name, value in changes.items() if value is not None}
         return dataclasses.replace(study, run=run, **given)
+
+    def _base(self) -> StudySettings:
+        """The study to begin from."""
+        preset = None if self.preset is None else presets.find_preset(self.preset)
+        if self.name is None:
+            if self.scale is not None:
+                raise InputError("scale is of the paper's studies; name one, such as fig4, or leave it out")
+            return StudySettings("own", preset or presets.PRESETS["fast"])
+        study = find_study(self.name, self.scale or "laptop")
+        if preset and preset.algorithm != study.run.algorithm:
+            raise InputError(
+                f"preset {self.preset} is of {preset.algorithm} and {self.name} of {study.run.algorithm}; "
+                "choose another preset, or name no study"
+            )
+        return dataclasses.replace(study, run=preset or study.run)
 
 
 def read_seeds(words: tuple[str, ...]) -> tuple[int, ...]:

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pecjax.experiments.drawing import FAILURES, TRIALS
+from pecjax.experiments.measures import trial_and_failure_ratios
 
 SNAPSHOTS = 4  # iterations shown side by side, as in the paper's Fig. 5
 
@@ -24,7 +25,8 @@ def configurations(table: pd.DataFrame, of: str = "", over: str = "") -> Figure:
     twins = []
     for axes, iteration in zip(all_axes, chosen, strict=True):
         rows = table.loc[table.iteration == iteration].groupby("config")[["trials", "failures"]].sum()
-        twins.append(_trials_and_failures(axes, rows.reset_index()))
+        ratios = trial_and_failure_ratios(rows.reset_index().assign(iteration=iteration), ["iteration"])
+        twins.append(_trials_and_failures(axes, ratios))
         twins[-1].tick_params(labelright=iteration == chosen[-1])
         axes.set_title(f"{of}iteration {iteration}", fontsize=9)
     all_axes[0].set_ylabel(f"trial ratio (bars){over}")
@@ -36,15 +38,16 @@ def _trials_and_failures(axes: Axes, rows: pd.DataFrame) -> Axes:
     """Bars of the trial ratio and a line of the failure ratio by configuration.
 
     Args:
-        rows: columns config, trials and failures, of one iteration.
+        rows: columns config, trial and failure, of one iteration.
 
     Returns:
         the axes of the failure ratio, on the right.
     """
     twin = axes.twinx()
-    axes.bar(rows.config, rows.trials / max(rows.trials.sum(), 1), color=TRIALS, label="trial ratio")
-    ratio = rows.failures / rows.trials.where(rows.trials > 0)
-    twin.plot(rows.config, ratio, "o-", color=FAILURES, markersize=3, linewidth=1, label="failure ratio")
+    axes.bar(rows.config, rows.trial, color=TRIALS, label="trial ratio")
+    twin.plot(
+        rows.config, rows.failure, "o-", color=FAILURES, markersize=3, linewidth=1, label="failure ratio"
+    )
     twin.set_ylim(0, 1)
     axes.set_xlabel("configuration c")
     return twin

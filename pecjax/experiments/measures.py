@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy import stats
 
 WORST = 0.1  # the share of the configurations that CVaR looks at
@@ -22,10 +23,10 @@ class Interval(NamedTuple):
 
 
 def cvar(ratios: np.ndarray) -> np.ndarray:
-    """CVaR-10 %: the mean over the worst tenth of the configurations, one at least.
+    """CVaR-10 %: the mean over the worst tenth of the N configurations, to the nearest whole number.
 
     Args:
-        ratios: (…, N) goal ratios; those that were not flown (NaN) do not count.
+        ratios: (…, N) goal ratios; those that were not flown (NaN) are passed over.
     """
     number = max(1, round(WORST * ratios.shape[-1]))
     return np.nanmean(np.sort(ratios, axis=-1)[..., :number], axis=-1)
@@ -76,6 +77,35 @@ def interval(values: np.ndarray, statistic: Callable[..., np.ndarray] = interqua
         (sample,), statistic, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
     ).confidence_interval
     return Interval(value, float(found.low), float(found.high))
+
+
+def sign_flip_p(differences: np.ndarray) -> float:
+    """How often pairs would differ by chance as much in the mean, or more, either way.
+
+    By exchanging the two of each pair: every pattern of signs up to 13 pairs, else 9,999 drawn ones
+    (`scipy.stats.permutation_test`). Of n pairs it is 2 / 2ⁿ at least.
+    """
+    if len(differences) < 2:
+        return 1.0
+    found = stats.permutation_test(
+        (differences.astype(float),), np.mean, permutation_type="samples", rng=np.random.default_rng(0)
+    )
+    return float(found.pvalue)
+
+
+def trial_and_failure_ratios(counts: pd.DataFrame, within: list[str]) -> pd.DataFrame:
+    """Counts with a column `trial`, the share of the trials, and `failure`, of those that failed.
+
+    Args:
+        counts: columns trials and failures, a row a configuration.
+        within: columns whose every combination has all the configurations once.
+
+    Returns:
+        the same rows; `failure` is NaN where nothing was tried.
+    """
+    tried = counts.trials.where(counts.trials > 0)
+    total = counts.groupby(within, sort=False).trials.transform("sum").clip(lower=1)
+    return counts.assign(trial=counts.trials / total, failure=counts.failures / tried)
 
 
 def paired_difference(values: np.ndarray, baseline: np.ndarray) -> Interval:

@@ -25,7 +25,7 @@ def environment_facts(num_devices: int) -> dict[str, Any]:
             "used": num_devices,
             "available": len(jax.devices()),
         },
-        "git_commit": _git_commit(),
+        "git_commit": git_commit(),
     }
 
 
@@ -37,7 +37,7 @@ def _processor() -> str:
         return platform.processor()
 
 
-def _git_commit() -> str | None:
+def git_commit() -> str | None:
     """The commit of the checkout this package runs from, None outside one."""
     command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
     try:

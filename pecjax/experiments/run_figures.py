@@ -20,6 +20,7 @@ from pecjax.experiments.drawing import (
     steps_axis,
 )
 from pecjax.experiments.map_figure import rooms
+from pecjax.experiments.measures import trial_and_failure_ratios
 from pecjax.experiments.run_directory import RunDirectory
 from pecjax.world.scene import load_scene
 
@@ -85,10 +86,7 @@ def goal_ratio(metrics: pd.DataFrame, evaluation: pd.DataFrame, greedy: bool) ->
 
 def spread(table: pd.DataFrame) -> Figure:
     """Mean and standard deviation over configurations of both ratios (Fig. 6)."""
-    total = table.groupby("iteration").trials.transform("sum").clip(lower=1)
-    ratios = table.assign(
-        trial=table.trials / total, failure=table.failures / table.trials.where(table.trials > 0)
-    )
+    ratios = trial_and_failure_ratios(table, ["iteration"])
     figure = Figure((8, 3.4), layout="constrained")
     for axes, name, color in zip(figure.subplots(1, 2), ("trial", "failure"), (PATH, FAILURES), strict=True):
         by_iteration = ratios.groupby("iteration")[name]

@@ -66,14 +66,15 @@ def _make_slices(
         if directory.holds(number):
             progress.skip(len(members) * settings.run.iterations)
             continue
+        _stop_if_asked(interruption)
         first = members[0]
         key = (first.coordinates, first.sampler, len(members))
         if key not in programs:
             _, scene, table = worlds[first.coordinates]
             programs[key] = make_program(settings.settings_of(first), scene, table, len(members))
         directory.write_slice(number, _train(settings, members, programs[key], progress, interruption))
-        directory.gather()
-    directory.gather()
+        directory.gather(len(slices))
+    directory.gather(len(slices))
 
 
 def _train(
@@ -111,11 +112,17 @@ def _train(
             len(members) * number,
             f"goal ratio {flights.goal.mean():.3f}, {rate:,.0f} steps/s with evaluation",
         )
-        if interruption.asked and done < run.iterations:
-            raise StoppedError(
-                "stopped; the same command goes on with the runs it was at", interruption.asked
-            )
+        if done < run.iterations:  # a slice that is whole is kept first
+            _stop_if_asked(interruption)
     return {name: [row for of_run in rows for row in of_run.tables[name]] for name in StudyDirectory.TABLES}
+
+
+def _stop_if_asked(interruption: Interruption) -> None:
+    if interruption.asked:
+        raise StoppedError(
+            "stopped; the same command keeps what is finished and begins the other runs again",
+            interruption.asked,
+        )
 
 
 def _of_run(tree: Any, place: int) -> Any:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from pecjax.experiments.drawing import SMOOTHED_ITERATIONS, steps_axis
-from pecjax.experiments.measures import interval
+from pecjax.experiments.measures import interval, trial_and_failure_ratios
 from pecjax.experiments.study_report import THRESHOLDS, StudyTables
 
 # Colours that stay apart in grey with the dashes and marks beside them (Okabe & Ito).
@@ -98,9 +98,7 @@ def evaluation(results: pd.DataFrame) -> Figure:
 def spread(table: pd.DataFrame) -> Figure:
     """Mean and standard deviation over configurations of both ratios (Fig. 6, 10, 12)."""
     keys = ["condition", "seed", "iteration"]
-    number = table.groupby(keys, sort=False).trials.transform("sum").clip(lower=1)
-    ratios = table.assign(trial=table.trials / number, failure=table.failures / table.trials.clip(lower=1))
-    by_run = ratios.groupby(keys, sort=False)
+    by_run = trial_and_failure_ratios(table, keys).groupby(keys, sort=False)
     figures = by_run.agg(
         trial_std=("trial", lambda x: x.std(ddof=0)),
         failure_mean=("failure", "mean"),
@@ -120,6 +118,11 @@ def spread(table: pd.DataFrame) -> Figure:
     return figure
 
 
+def _exits(rows: pd.DataFrame) -> str:
+    number = [np.isfinite(rows[f"exit_at_{at:g}"]).sum() for at in THRESHOLDS]
+    return f"exits of {' and '.join(map(str, number))} of {len(rows)} runs"
+
+
 def exits(metrics: pd.DataFrame, runs: pd.DataFrame) -> Figure:
     """Training goal ratio, and where the paper's exit condition would have ended each run (Fig. 14)."""
     figure = Figure((6.8, 4.0), layout="constrained")
@@ -130,7 +133,7 @@ def exits(metrics: pd.DataFrame, runs: pd.DataFrame) -> Figure:
         for at in THRESHOLDS:
             exit_at = rows[f"exit_at_{at:g}"].to_numpy() / batch
             height = np.full(len(rows), at + 0.012 * place)
-            label = f"{condition}: exit" if at == THRESHOLDS[0] else None
+            label = f"{condition}: {_exits(rows)}" if at == THRESHOLDS[0] else None
             style = {"marker": mark, "facecolor": "white", "edgecolor": color, "label": label}
             axes.scatter(exit_at, height, s=22, zorder=3, **style)
     for at in THRESHOLDS:

@@ -14,7 +14,7 @@ from typing import Any
 from pecjax.errors import InputError
 from pecjax.experiments import plain_files
 from pecjax.experiments.grid import StudySettings
-from pecjax.experiments.provenance import environment_facts
+from pecjax.experiments.provenance import environment_facts, git_commit
 from pecjax.world.coordinates import Configurations, load_coordinates
 from pecjax.world.scene import Scene
 
@@ -37,6 +37,7 @@ class StudyDirectory:
         self.folder = folder
         self.scene_path = folder / "scene.xml"
         self._slices = folder / "slices"
+        self._begun = folder / ".study.json.new"
 
     def settings(self) -> StudySettings:
         """Reads the settings back.
@@ -67,18 +68,19 @@ class StudyDirectory:
         if (self.folder / "study.json").is_file():
             self._compare(json.loads(plain_files.json_text(content)), files)
         else:
-            plain_files.check_free(self.folder)
+            if not self._begun.exists():
+                plain_files.check_free(self.folder)
             self._create(content, files)
 
     def _create(self, content: dict[str, Any], files: dict[str, str]) -> None:
-        new = self.folder.with_name(f".{self.folder.name}.new")
         with plain_files.writing(self.folder, "choose another --out"):
-            shutil.rmtree(new, ignore_errors=True)
-            (new / "slices").mkdir(parents=True)
+            self.folder.mkdir(parents=True, exist_ok=True)
+            # Begins as another file: a study that is killed meanwhile knows its folder again.
+            self._begun.write_text(plain_files.json_text(content))
+            self._slices.mkdir(exist_ok=True)
             for name, text in files.items():
-                (new / name).write_text(text)
-            (new / "study.json").write_text(plain_files.json_text(content))
-            os.replace(new, self.folder)  # whole or not there: a study can be killed at any moment
+                (self.folder / name).write_text(text)
+            os.replace(self._begun, self.folder / "study.json")
 
     def _compare(self, content: dict[str, Any], files: dict[str, str]) -> None:
         self.settings()
@@ -105,14 +107,17 @@ class StudyDirectory:
             number: of slices that the study is made of.
         """
         self._slices.mkdir(exist_ok=True)
-        for left_over in self._slices.glob(".*"):  # written when the study was stopped
+        for left_over in self._slices.glob(".[0-9]*"):  # written when the study was stopped
             shutil.rmtree(left_over)
-        for path in sorted(self._slices.iterdir()):
+        for path in self._held(number):
             if not _is_whole(path):
                 shutil.rmtree(path)
                 yield f"{path}: not as it was written; made again"
-        there = sum(self.holds(n) for n in range(number))
+        there = len(self._held(number))
         yield f"{self.folder}: {there} of {number} slices are there"
+        begun, now = json.loads((self.folder / "study.json").read_text()).get("git_commit"), git_commit()
+        if there and begun and now and begun != now:
+            yield f"{self.folder}: begun at commit {begun[:7]} and goes on at {now[:7]}; what is there stays"
 
     def holds(self, number: int) -> bool:
         """Whether that slice is finished."""
@@ -133,11 +138,13 @@ class StudyDirectory:
         (new / _SUMS).write_text("".join(sums))
         os.replace(new, self._slice_path(number))
 
-    def gather(self) -> None:
-        """Writes the tables anew from all slices there are, in their order."""
-        slices = sorted(path for path in self._slices.iterdir() if not path.name.startswith("."))
+    def _held(self, number: int) -> list[Path]:
+        return [self._slice_path(n) for n in range(number) if self.holds(n)]
+
+    def gather(self, number: int) -> None:
+        """Writes the tables anew from those of so many slices that are there, in their order."""
         for name in self.TABLES:
-            texts = [(path / f"{name}.csv").read_text().split("\n", 1) for path in slices]
+            texts = [(path / f"{name}.csv").read_text().split("\n", 1) for path in self._held(number)]
             # Coordinate sets of several sizes have as many columns: the longest header serves all.
             header = max((head for head, _ in texts), key=len, default="")
             rows = "".join(rows for _, rows in texts)

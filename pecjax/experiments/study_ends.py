@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from matplotlib.figure import Figure
 from pecjax.experiments.map_figure import success
 from pecjax.experiments.measures import Interval, interval
 from pecjax.experiments.study_curves import STYLES
-from pecjax.experiments.study_report import THRESHOLDS, StudyTables
+from pecjax.experiments.study_report import THRESHOLDS
 from pecjax.world.coordinates import Configurations
 from pecjax.world.scene import Scene
 
@@ -32,7 +33,7 @@ def steps_to_threshold(runs: pd.DataFrame) -> Figure:
         for place, name in enumerate(names):
             color, _, mark = STYLES[place % len(STYLES)]
             axes.scatter(np.full(len(shown), place), shown[name], color=color, marker=mark, s=24, zorder=2)
-            median = shown[name].median()
+            median = min(table[name].median(), never)
             axes.plot([place - 0.22, place + 0.22], [median, median], color="black", linewidth=1.6, zorder=3)
         if np.isinf(table.to_numpy()).any():
             axes.axhline(never, color="0.6", linewidth=0.7, linestyle=":")
@@ -61,32 +62,30 @@ def maps(results: pd.DataFrame, scene: Scene, table: Configurations) -> Figure:
     return figure
 
 
-def alphas(tables: StudyTables) -> Figure:
+def alphas(runs: pd.DataFrame) -> Figure:
     """How the end of training depends on α (Fig. 11-12): failures since the beginning, evaluation."""
-    last = tables.configurations.iteration.max()
-    counts = tables.configurations[tables.configurations.iteration == last]
-    failure = counts.assign(failure=counts.failures / counts.trials.clip(lower=1))
-    failures = failure.groupby(["alpha", "seed"]).failure.mean()
-    results = tables.results[tables.results.iteration == last].set_index(["alpha", "seed"])
     figure = Figure((9.6, 3.6), layout="constrained")
     panels = {
-        "failure ratio since the beginning": {"mean over configurations": failures},
+        "failure ratio since the beginning": {"failure_ratio": "mean over configurations"},
         "goal ratio, last uniform evaluation": {
-            "all configurations": results.goal_ratio,
-            "worst tenth (CVaR)": results.cvar,
+            "goal_ratio": "all configurations",
+            "cvar": "worst tenth (CVaR)",
         },
     }
+    of_samplers = list(runs.dropna(subset="alpha").groupby("sampler", sort=False))
     for axes, (label, lines) in zip(figure.subplots(1, 2), panels.items(), strict=True):
-        for (name, values), (color, dashes, mark) in zip(lines.items(), STYLES, strict=False):
-            found = {alpha: interval(x.to_numpy()) for alpha, x in values.groupby("alpha")}
-            _error_bars(axes, found, color=color, linestyle=dashes, marker=mark, label=name)
+        curves = [(sampler, rows, name) for sampler, rows in of_samplers for name in lines]
+        for (sampler, rows, name), (color, dashes, mark) in zip(curves, cycle(STYLES), strict=False):
+            found = {alpha: interval(x.to_numpy()) for alpha, x in rows.groupby("alpha")[name]}
+            of = f"{sampler}, " if len(of_samplers) > 1 else ""
+            _error_bars(axes, found, color=color, linestyle=dashes, marker=mark, label=of + lines[name])
         axes.set(xlabel="α", ylabel=label)
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8)
     return figure
 
 
-def _error_bars(axes: Axes, found: dict[float, Interval], **style: Any) -> None:
+def _error_bars(axes: Axes, found: dict[Any, Interval], **style: Any) -> None:
     value, low, high = np.array(list(found.values())).T
     error = np.nan_to_num([value - low, high - value])
     axes.errorbar(list(found), value, error, capsize=3, markersize=4, **style)

@@ -57,4 +57,4 @@ def _figures(tables: StudyTables, scene: Scene, table: Configurations) -> Iterat
         stem = f"configurations-{condition.replace(', α = ', '-')}"
         yield stem, configurations(rows, f"{condition}, ", ", all seeds")
     if tables.results.alpha.nunique() > 1:
-        yield "alpha", alphas(tables)
+        yield "alpha", alphas(runs)

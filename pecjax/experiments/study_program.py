@@ -53,7 +53,7 @@ def make_program(settings: RunSettings, scene: Scene, table: Configurations, run
         return make_agent(settings, env, table, SAMPLERS[settings.sampler](table.size, alpha))
 
     agent = agent_with(settings.alpha)
-    check_memory(agent.replay_bytes * runs // devices, devices)
+    check_memory(agent.replay_bytes * runs, devices)
     fly = make_flyer(env, table, agent, greedy=settings.greedy, seed=settings.evaluation_seed)
     config_id = even_draw(table.size, settings.evaluation_episodes, settings.evaluation_seed)
 

@@ -16,13 +16,18 @@ from pecjax.experiments.measures import (
     area_under_curve,
     interval,
     paired_difference,
+    sign_flip_p,
     steps_to_exit,
     steps_until,
+    trial_and_failure_ratios,
 )
 
 THRESHOLDS = (0.9, 0.95)
 BASELINE = "uniform"  # what others are paired with; the study's first condition where it is not there
 RATIOS = ("goal_ratio", "cvar", "area_under_curve", "cvar_area_under_curve")
+# Of what the sampler drew in training: beside the paper's figures, not to compare samplers by.
+TRAINING = ("training_goal_ratio", "failure_ratio", "least_trial_ratio", "greatest_trial_ratio")
+LAST_ITERATIONS = 100  # that the paper takes the mean training goal ratio of
 STEPS = tuple(f"{what}_{at:g}" for at in THRESHOLDS for what in ("steps_until", "exit_at"))
 _COLUMNS = {
     "results": {"seed", "iteration", "env_steps", "goal_ratio", "cvar", "mean_return"},
@@ -59,13 +64,19 @@ def by_run(tables: StudyTables) -> pd.DataFrame:
     Columns: `goal_ratio` and `cvar` of the last evaluation, the `area_under_curve` of both,
     `steps_until_0.9` (environment steps at the first of five evaluations in a row that hold it) and
     `exit_at_0.9` (at the fifth iteration in a row whose training goal ratio holds it: the paper's
-    exit condition); inf where it was not reached.
+    exit condition); inf where it was not reached. Of training: `training_goal_ratio`, the mean of the
+    last 100 iterations; `failure_ratio`, the mean over the configurations, `least_trial_ratio` and
+    `greatest_trial_ratio`, all since the run began.
     """
-    keys = ["coordinates", "condition", "seed"]
-    trainings = tables.metrics.groupby(keys, sort=False)
+    keys = ["coordinates", "condition", "sampler", "alpha", "seed"]
+    trainings = tables.metrics.groupby(keys, sort=False, dropna=False)
+    last = tables.configurations.iteration.max()
+    counts = tables.configurations.loc[tables.configurations.iteration == last]
+    ratios = trial_and_failure_ratios(counts, keys[:2] + keys[-1:])
+    drawn = ratios.groupby(keys, sort=False, dropna=False)
     rows = []
-    for key, run in tables.results.groupby(keys, sort=False):
-        training = trainings.get_group(key)
+    for key, run in tables.results.groupby(keys, sort=False, dropna=False):
+        training, drawing = trainings.get_group(key), drawn.get_group(key)
         steps, ratios = run.env_steps.to_numpy(), run.goal_ratio.to_numpy()
         row = run[keys].iloc[0].to_dict() | {
             "goal_ratio": ratios[-1],
@@ -78,6 +89,12 @@ def by_run(tables: StudyTables) -> pd.DataFrame:
             row[f"exit_at_{at:g}"] = steps_to_exit(
                 training.env_steps.to_numpy(), training.goal_ratio.to_numpy(), at
             )
+        row |= {
+            "training_goal_ratio": training.goal_ratio.tail(LAST_ITERATIONS).mean(),
+            "failure_ratio": drawing.failure.mean(),
+            "least_trial_ratio": drawing.trial.min(),
+            "greatest_trial_ratio": drawing.trial.max(),
+        }
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -93,6 +110,8 @@ def summary(runs: pd.DataFrame) -> Iterator[plain_files.Row]:
             row[f"{name}_reached"] = int(np.isfinite(rows[name]).sum())
             spread = rows[name].agg(["median", "min", "max"])
             row |= {f"{name}_{which}": figure for which, figure in spread.items()}
+        for name in TRAINING:
+            row |= _columns(name, interval(rows[name].to_numpy()))
         yield row
 
 
@@ -118,11 +137,11 @@ def paired(runs: pd.DataFrame) -> Iterator[plain_files.Row]:
                     "worse": int((~better & ~equal).sum()),
                     "pairs": int(both.sum()),
                 }
-                known = both.any()
-                found = (
-                    paired_difference(ours[both], theirs[both]) if known else Interval(*[float("nan")] * 3)
-                )
-                yield head | {"measure": name} | counts | _columns("difference", found)
+                found, p = Interval(*[float("nan")] * 3), float("nan")
+                if both.any():
+                    found = paired_difference(ours[both], theirs[both])
+                    p = sign_flip_p(ours[both] - theirs[both])
+                yield head | {"measure": name} | counts | _columns("difference", found) | {"p": p}
 
 
 def _columns(name: str, found: Interval) -> dict[str, float]:
@@ -157,8 +176,9 @@ def write_report(folder: Path) -> str:
         interval_of_ratio = f"[{ratio['difference_low']:+.3f}, {ratio['difference_high']:+.3f}]"
         lines.append(
             f"set {Path(coordinates).stem}, {condition} - {ratio['baseline']}, {ratio['pairs']} pairs: "
-            f"goal ratio {ratio['difference']:+.3f} {interval_of_ratio}; {THRESHOLDS[-1]:g} held sooner in "
-            f"{steps['better']}, as soon in {steps['equal']}, later in {steps['worse']}"
+            f"goal ratio {ratio['difference']:+.3f} {interval_of_ratio}, p {ratio['p']:.2g}; "
+            f"{THRESHOLDS[-1]:g} held sooner in {steps['better']}, alike in {steps['equal']}, "
+            f"later in {steps['worse']}"
         )
     return "\n".join(lines)
 
