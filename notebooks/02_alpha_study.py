@@ -84,7 +84,7 @@ ipywidgets.interactive(
 # %% [markdown]
 # ## Which configurations are drawn
 #
-# With α = 0 only what fails is drawn again; the larger α, the nearer to uniform.
+# With α = 0 what has never failed is not drawn again; the larger α, the nearer to uniform.
 
 # %%
 Image(folder / "figures" / "configurations-pec-0.png", width=1000)
