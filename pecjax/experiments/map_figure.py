@@ -85,4 +85,4 @@ def _places(axes: Axes, table: Configurations) -> None:
         axes.plot(*place, "o", color=GOAL, markersize=5)
         if rows:
             name = ",".join(f"c{row}" for row in rows)
-            axes.annotate(name, place, textcoords="offset points", xytext=(5, 5), fontsize=8, color=GOAL)
+            axes.annotate(name, place, textcoords="offset points", xytext=(4, 5), fontsize=7, color=GOAL)

@@ -118,9 +118,9 @@ def spread(table: pd.DataFrame) -> Figure:
     return figure
 
 
-def _exits(rows: pd.DataFrame) -> str:
+def _missing(rows: pd.DataFrame) -> str:
     number = [np.isfinite(rows[f"exit_at_{at:g}"]).sum() for at in THRESHOLDS]
-    return f"exits of {' and '.join(map(str, number))} of {len(rows)} runs"
+    return "" if min(number) == len(rows) else f" ({number[0]} and {number[1]} of {len(rows)} runs)"
 
 
 def exits(metrics: pd.DataFrame, runs: pd.DataFrame) -> Figure:
@@ -132,8 +132,8 @@ def exits(metrics: pd.DataFrame, runs: pd.DataFrame) -> Figure:
     for place, (condition, rows, (color, _, mark)) in enumerate(_conditions(runs)):
         for at in THRESHOLDS:
             exit_at = rows[f"exit_at_{at:g}"].to_numpy() / batch
-            height = np.full(len(rows), at + 0.012 * place)
-            label = f"{condition}: {_exits(rows)}" if at == THRESHOLDS[0] else None
+            height = np.full(len(rows), at + 0.008 * (place - (runs.condition.nunique() - 1) / 2))
+            label = f"{condition}: exit{_missing(rows)}" if at == THRESHOLDS[0] else None
             style = {"marker": mark, "facecolor": "white", "edgecolor": color, "label": label}
             axes.scatter(exit_at, height, s=22, zorder=3, **style)
     for at in THRESHOLDS:
