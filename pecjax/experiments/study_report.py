@@ -68,17 +68,16 @@ def by_run(tables: StudyTables) -> pd.DataFrame:
     last 100 iterations; `failure_ratio`, the mean over the configurations, `least_trial_ratio` and
     `greatest_trial_ratio`, all since the run began.
     """
-    keys = ["coordinates", "condition", "sampler", "alpha", "seed"]
-    trainings = tables.metrics.groupby(keys, sort=False, dropna=False)
+    keys = ["coordinates", "condition", "seed"]
     last = tables.configurations.iteration.max()
     counts = tables.configurations.loc[tables.configurations.iteration == last]
-    ratios = trial_and_failure_ratios(counts, keys[:2] + keys[-1:])
-    drawn = ratios.groupby(keys, sort=False, dropna=False)
+    draws = trial_and_failure_ratios(counts, keys).groupby(keys, sort=False)
+    trainings = tables.metrics.groupby(keys, sort=False)
     rows = []
-    for key, run in tables.results.groupby(keys, sort=False, dropna=False):
-        training, drawing = trainings.get_group(key), drawn.get_group(key)
+    for key, run in tables.results.groupby(keys, sort=False):
+        training, drawn = trainings.get_group(key), draws.get_group(key)
         steps, ratios = run.env_steps.to_numpy(), run.goal_ratio.to_numpy()
-        row = run[keys].iloc[0].to_dict() | {
+        row = run[[*keys, "sampler", "alpha"]].iloc[0].to_dict() | {
             "goal_ratio": ratios[-1],
             "cvar": run.cvar.iloc[-1],
             "area_under_curve": area_under_curve(steps, ratios),
@@ -91,9 +90,9 @@ def by_run(tables: StudyTables) -> pd.DataFrame:
             )
         row |= {
             "training_goal_ratio": training.goal_ratio.tail(LAST_ITERATIONS).mean(),
-            "failure_ratio": drawing.failure.mean(),
-            "least_trial_ratio": drawing.trial.min(),
-            "greatest_trial_ratio": drawing.trial.max(),
+            "failure_ratio": drawn.failure.mean(),
+            "least_trial_ratio": drawn.trial.min(),
+            "greatest_trial_ratio": drawn.trial.max(),
         }
         rows.append(row)
     return pd.DataFrame(rows)
