@@ -20,13 +20,13 @@ def configurations(table: pd.DataFrame, of: str = "", over: str = "") -> Figure:
         of, over: what titles begin with, and what the axis adds.
     """
     chosen = _snapshots(sorted(set(table.iteration)))
+    counts = table.groupby(["iteration", "config"])[["trials", "failures"]].sum().reset_index()
+    ratios = trial_and_failure_ratios(counts, ["iteration"])
     figure = Figure((3.2 * len(chosen), 3.4), layout="constrained")
     all_axes = figure.subplots(1, len(chosen), sharey=True, squeeze=False)[0]
     twins = []
     for axes, iteration in zip(all_axes, chosen, strict=True):
-        rows = table.loc[table.iteration == iteration].groupby("config")[["trials", "failures"]].sum()
-        ratios = trial_and_failure_ratios(rows.reset_index().assign(iteration=iteration), ["iteration"])
-        twins.append(_trials_and_failures(axes, ratios))
+        twins.append(_trials_and_failures(axes, ratios.loc[ratios.iteration == iteration]))
         twins[-1].tick_params(labelright=iteration == chosen[-1])
         axes.set_title(f"{of}iteration {iteration}", fontsize=9)
     all_axes[0].set_ylabel(f"trial ratio (bars){over}")

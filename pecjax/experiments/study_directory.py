@@ -117,7 +117,7 @@ class StudyDirectory:
         yield f"{self.folder}: {there} of {number} slices are there"
         begun, now = json.loads((self.folder / "study.json").read_text()).get("git_commit"), git_commit()
         if there and begun and now and begun != now:
-            yield f"{self.folder}: begun at commit {begun[:7]} and goes on at {now[:7]}; what is there stays"
+            yield f"{self.folder}: begun at commit {begun!s:.7} and goes on at {now:.7}; what is there stays"
 
     def holds(self, number: int) -> bool:
         """Whether that slice is finished."""
