@@ -31,7 +31,7 @@ import numpy as np
 from IPython.display import Image
 
 from pecjax.curriculum import Outcomes, Sampler, pec
-from pecjax.curriculum.sampler import choose
+from pecjax.curriculum import sample_ids
 from pecjax.experiments import presets, study_figures, study_report
 from pecjax.experiments.studies import find_study
 from pecjax.experiments.study import run_study
@@ -74,7 +74,7 @@ def learnability(num_configs: int) -> Sampler:
         return weight / weight.sum()
 
     def sample(state, key, shape=()):
-        return choose(probabilities(state), key, shape)
+        return sample_ids(probabilities(state), key, shape)
 
     return pec(num_configs)._replace(probabilities=probabilities, sample=sample)
 

@@ -19,6 +19,7 @@ from pecjax.agents.q_network import QNetwork, QNetworkSettings, action_values
 from pecjax.agents.replay import ReplaySettings
 from pecjax.experiments.presets import PRESETS
 from pecjax.world.drone import Camera
+from pecjax.world.navigation import FlightState
 
 FAR = 10.0
 
@@ -31,26 +32,25 @@ class TwoStates:
     action_size = 2
 
     def place(self, config, heading):
-        room = (heading > 0).astype(jnp.int32)
-        zero = jnp.zeros(())
-        info = {"config": config, "step_count": jnp.zeros((), jnp.int32)}
-        return State(room, {}, zero, zero, {"goal": zero, "unstable": zero}, info)
+        zero, no_steps = jnp.zeros(()), jnp.zeros((), jnp.int32)
+        flight = FlightState((heading > 0).astype(jnp.int32), zero, config, no_steps, no_steps)
+        return State(flight, {}, zero, zero, {"goal": zero, "unstable": zero})
 
     def observe(self, state):
-        room = state.pipeline_state.astype(jnp.float32)
+        room = state.pipeline_state.qpos.astype(jnp.float32)
         return state.replace(obs={"depth": jnp.full((1, 1), 5.0), "goal": jnp.stack([10 * room, 0 * room])})
 
     def advance(self, state, action):
-        room, on = state.pipeline_state, action == 1
+        flight, on = state.pipeline_state, action == 1
+        room = flight.qpos
         reward = jnp.where(on, jnp.where(room == 1, 1.0, 0.0), jnp.where(room == 1, -0.1, 0.1))
         done = (on & (room == 1)).astype(jnp.float32)
-        info = state.info | {"step_count": state.info["step_count"] + 1}
+        flight = flight._replace(qpos=jnp.where(on, 1, room), step_count=flight.step_count + 1)
         return state.replace(
-            pipeline_state=jnp.where(on, 1, room),
+            pipeline_state=flight,
             reward=reward,
             done=done,
             metrics={"goal": done, "unstable": jnp.zeros(())},
-            info=info,
         )
 
 
@@ -228,6 +228,20 @@ def test_nothing_is_learnt_before_the_start():
     state, metrics = iterate(state)
     assert int(state.learner.sampled) == 1024 and metrics.losses["loss"] > 0
     assert int(state.learner.updates) == TOY.updates  # the last round alone began with 1,000 or more
+
+
+def test_it_learns_on_when_its_counts_of_steps_are_full():
+    agent = toy(TOY)
+    state = jax.jit(agent.init)(jax.random.key(0))
+    iterate = jax.jit(agent.iterate)
+    state, _ = iterate(state)
+    most = np.iinfo(np.int32).max
+    full = state.learner._replace(sampled=jnp.int32(most - 100), updates=jnp.int32(most - 1))
+    state, metrics = iterate(state._replace(learner=full))
+    assert int(state.learner.sampled) == int(state.learner.updates) == most
+    assert metrics.losses["loss"] > 0
+    moved = jax.tree.map(lambda a, b: bool((a != b).any()), full.params, state.learner.params)
+    assert all(jax.tree.leaves(moved))
 
 
 def test_it_waits_for_a_transition_to_draw_however_early_it_may_start():

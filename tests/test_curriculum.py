@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import jax
 import numpy as np
 import pytest
@@ -7,7 +10,7 @@ from jax.sharding import Mesh, PartitionSpec
 from scipy import stats
 
 from pecjax import InputError
-from pecjax.curriculum import Outcomes, pec, tally, uniform
+from pecjax.curriculum import Outcomes, count_outcomes, pec, uniform
 
 N = 20
 ALPHAS = np.array([0, 0.1, 0.2, 0.3, 0.4], np.float32)
@@ -110,14 +113,17 @@ def test_draws_follow_the_probabilities(alpha):
     assert stats.chisquare(drawn[possible], 100_000 * expected[possible]).pvalue > 1e-3
 
 
-def test_uniform_draws_all_alike_and_never_learns():
+def test_uniform_draws_all_alike_and_keeps_counts_that_change_nothing():
     sampler = uniform(N)
     state = sampler.init()
     np.testing.assert_allclose(sampler.probabilities(state), np.full(N, 1 / N))
     ids = jax.jit(sampler.sample, static_argnums=2)(state, jax.random.key(0), (100_000,))
     assert ids.dtype == jnp.int32
     assert stats.chisquare(np.bincount(ids, minlength=N)).pvalue > 1e-3
-    assert sampler.update(state, some_outcomes((100,))) == state
+    outcomes = some_outcomes((100,))
+    after = sampler.update(sampler.update(state, outcomes), outcomes)
+    np.testing.assert_array_equal(after.counts, 2 * counted_by_hand(outcomes))
+    np.testing.assert_array_equal(sampler.probabilities(after), sampler.probabilities(state))
 
 
 @pytest.mark.parametrize("make", [pec, uniform])
@@ -131,14 +137,71 @@ def test_a_single_draw_is_a_scalar_and_keys_decide(make):
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (64,), (128, 32), (2, 3, 50)])
-def test_tally_counts_what_is_done(shape):
+def test_what_is_done_is_counted(shape):
     outcomes = some_outcomes(shape)
-    np.testing.assert_array_equal(tally(outcomes, N), counted_by_hand(outcomes))
+    np.testing.assert_array_equal(count_outcomes(outcomes, N), counted_by_hand(outcomes))
 
 
-def test_tally_takes_flags_as_floats_and_adds_duplicates_up():
+@pytest.mark.parametrize("traced", [False, True])
+def test_ids_of_environments_serve_flags_of_their_steps(traced):
+    ids, flags = some_outcomes((8,)).config_id, some_outcomes((30, 8), seed=1)
+    count = jax.jit(count_outcomes, static_argnums=1) if traced else count_outcomes
+    counts = count(Outcomes(ids, flags.done, flags.failed), N)
+    whole = Outcomes(np.broadcast_to(ids, (30, 8)), flags.done, flags.failed)
+    np.testing.assert_array_equal(counts, counted_by_hand(whole))
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "trials", "failures"),
+    [
+        (Outcomes([3, 3, 5], [True, True, False], [True, False, True]), {3: 2}, {3: 1}),
+        (Outcomes(7, True, False), {7: 1}, {}),
+        (Outcomes(np.int64(7), 1, 1.0), {7: 1}, {7: 1}),
+        (Outcomes([1, 2], 1, [0, 1]), {1: 1, 2: 1}, {2: 1}),
+        (Outcomes([-1, 2], [0, 1], [np.nan, 1]), {2: 1}, {2: 1}),  # what is not done may hold anything
+    ],
+)
+def test_lists_and_scalars_are_outcomes_too(outcomes, trials, failures):
+    counts = np.asarray(pec(N).update(pec(N).init(), outcomes).counts)
+    expected = np.zeros((2, N), int)
+    for row, numbers in enumerate((trials, failures)):
+        for config, number in numbers.items():
+            expected[row, config] = number
+    np.testing.assert_array_equal(counts, expected)
+
+
+@pytest.mark.parametrize("make", [pec, uniform])
+@pytest.mark.parametrize(
+    ("outcomes", "words"),
+    [
+        (Outcomes([3, N], [1, 1], [0, 0]), f"config_id {N} does not exist; .* 0 to {N - 1}"),
+        (Outcomes(jnp.array([-1]), jnp.array([True]), jnp.array([True])), "config_id -1 does not exist"),
+        (Outcomes([3], [1], [-1.0]), "failed is -1.0"),
+        (Outcomes([3], [1], jnp.array([0.5])), "failed is 0.5"),
+        (Outcomes([3], [1], [np.nan]), "failed is nan"),
+        (Outcomes([3], [2], [0]), "done is 2"),
+        (Outcomes([3.0], [1], [0]), "config_id is of type float64; give integers"),
+        (
+            Outcomes([1, 2, 3], [1, 1], [0, 0]),
+            r"config_id \(3,\), done \(2,\), failed \(2,\) do not broadcast",
+        ),
+    ],
+)
+def test_outcomes_that_cannot_be_meant_are_refused(make, outcomes, words):
+    with pytest.raises(InputError, match=words):
+        make(N).update(make(N).init(), outcomes)
+
+
+def test_where_values_are_traced_ids_out_of_range_are_dropped():
+    counts = jax.jit(count_outcomes, static_argnums=1)(Outcomes(jnp.array([-1, 3, N]), True, True), N)
+    np.testing.assert_array_equal(counts, np.eye(N, dtype=int)[[3, 3]])
+
+
+def test_flags_may_be_floats_and_duplicates_add_up():
     ids = jnp.array([3, 3, 3, 3, 7, 7])
-    counts = tally(Outcomes(ids, jnp.array([1.0, 1, 1, 0, 1, 0]), jnp.array([1.0, 1, 0, 1, 0, 1])), N)
+    counts = count_outcomes(
+        Outcomes(ids, jnp.array([1.0, 1, 1, 0, 1, 0]), jnp.array([1.0, 1, 0, 1, 0, 1])), N
+    )
     assert counts.dtype == jnp.int32
     assert counts[:, 3].tolist() == [3, 2] and counts[:, 7].tolist() == [1, 0]
     assert counts.sum() == 6
@@ -186,6 +249,22 @@ def test_a_study_over_alpha_is_a_vmap():
         np.testing.assert_array_equal(together[2][n], ids)
     spread = [np.ptp(chances) for _, chances, _ in separate]
     assert spread == sorted(spread, reverse=True)  # α levels the failure ratios out
+
+
+IMPORT = """
+import sys
+import jax, numpy
+before = set(sys.modules)
+import pecjax.curriculum
+print(*sorted({name.split(".")[0] for name in set(sys.modules) - before} - set(sys.stdlib_module_names)))
+"""
+
+
+def test_the_samplers_alone_load_jax_and_numpy_only():
+    found = subprocess.run(
+        [sys.executable, "-c", IMPORT], capture_output=True, text=True, check=True, timeout=120
+    )
+    assert found.stdout.split() == ["pecjax"]
 
 
 @pytest.mark.parametrize("alpha", [-0.1, float("nan"), float("inf"), -float("inf")])

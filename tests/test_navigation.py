@@ -51,7 +51,7 @@ def fresh(env):
 
 def test_sizes_are_those_of_the_observation_and_the_actions(env, fresh):
     assert jax.tree.map(jnp.shape, fresh.obs) == env.observation_size == {"depth": (12, 16), "goal": (2,)}
-    assert env.action_size == 15
+    assert env.action_size == 15 and env.dt == 0.1
     assert isinstance(env, brax.envs.Env)
 
 
@@ -90,18 +90,96 @@ def test_vmap_and_scan_agree_with_single_steps(env, step, fly_batch):
         assert np.mean(np.abs(state.obs["depth"] - same.obs["depth"]) > 1e-3) < 0.03
         state, same = (s.replace(obs=s.obs["goal"]) for s in (state, same))
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-3), state, same)
-        assert state.info["step_count"] == 30
+        assert state.pipeline_state.step_count == 30
 
 
-def test_runs_under_brax_wrappers_with_raw_keys(env):
-    wrapped = training.VmapWrapper(training.EpisodeWrapper(env, episode_length=5, action_repeat=1))
-    state = jax.jit(wrapped.reset)(jax.random.split(jax.random.PRNGKey(2), 4))
+def wrapped_flight(env, action, steps, episode_length, key=jax.random.PRNGKey, wrap=training.wrap):
+    """(state after reset, rows of done, truncation and what `info` says) under Brax's wrappers."""
+    wrapped = wrap(env, episode_length=episode_length)
+    first = jax.jit(wrapped.reset)(jax.random.split(key(2), 4))
+
+    def step(state, _):
+        state = wrapped.step(state, jnp.full(4, action))
+        kept = ("done", state.done), ("truncation", state.info["truncation"]), ("steps", state.info["steps"])
+        return state, dict(kept) | state.metrics | {"counted": state.pipeline_state.step_count}
+
+    last, rows = jax.jit(lambda state: jax.lax.scan(step, state, None, steps))(first)
+    return first, last, jax.tree.map(np.asarray, rows)
+
+
+def ends_of(rows):
+    return [np.flatnonzero(row).tolist() for row in rows["done"].T]
+
+
+def test_under_brax_an_episode_ends_at_its_own_limit_every_time(scene):
+    short = pecjax.RoomsNavigation(scene, settings=pecjax.NavigationSettings(max_steps=20))
+    first, last, rows = wrapped_flight(short, STAND, steps=405, episode_length=1000)
+    assert ends_of(rows) == [list(range(19, 405, 20))] * 4
+    np.testing.assert_array_equal(rows["timeout"], rows["done"])
+    assert not rows["truncation"].any()
+    np.testing.assert_array_equal(rows["counted"][:, 0], (1 + np.arange(405)) % 20)
+    # Brax resets to what the environment began with.
+    jax.tree.map(np.testing.assert_array_equal, last.pipeline_state.config, first.pipeline_state.config)
+    assert signature(first.pipeline_state) == signature(last.pipeline_state)
+
+
+def test_under_brax_a_shorter_episode_length_truncates(scene):
+    short = pecjax.RoomsNavigation(scene, settings=pecjax.NavigationSettings(max_steps=20))
+    _, _, rows = wrapped_flight(short, STAND, steps=305, episode_length=7)
+    assert ends_of(rows) == [list(range(6, 305, 7))] * 4
+    np.testing.assert_array_equal(rows["truncation"], rows["done"])
+    assert not rows["timeout"].any()
+
+
+@pytest.mark.slow
+def test_under_brax_the_default_task_ends_where_it_should_for_1500_steps(env):
+    _, _, rows = wrapped_flight(env, STAND, steps=1500, episode_length=1000)
+    assert ends_of(rows) == [[999]] * 4 and rows["timeout"].sum() == 4
+    # Flown into a wall, it ends again and again after as many steps as the first time.
+    _, _, rows = wrapped_flight(env, AHEAD, steps=1500, episode_length=1000)
+    for n, ends in enumerate(ends_of(rows)):
+        assert len(ends) > 10 and set(np.diff(ends)) == {ends[0] + 1}
+        assert np.all((rows["collision"] + rows["goal"])[ends, n] == 1)
+
+
+def evaluated(env, episode_length):
+    return training.EvalWrapper(training.wrap(env, episode_length=episode_length))
+
+
+def test_brax_can_evaluate_it(scene):
+    short = pecjax.RoomsNavigation(scene, settings=pecjax.NavigationSettings(max_steps=20))
+    _, last, rows = wrapped_flight(short, STAND, steps=50, episode_length=1000, wrap=evaluated)
+    assert ends_of(rows) == [[19, 39]] * 4
+    found = last.info["eval_metrics"]
+    # Standing costs 3 more from the eleventh step on, and the limit 1,000: of the first episode.
+    np.testing.assert_allclose(found.episode_metrics["reward"], np.full(4, -20 - 10 * 3 - 1000))
+    np.testing.assert_array_equal(found.episode_metrics["timeout"], np.ones(4))
+    np.testing.assert_array_equal(found.episode_steps, np.full(4, 20))
+    np.testing.assert_array_equal(found.active_episodes, np.zeros(4))
+
+
+@pytest.mark.parametrize("key", [jax.random.PRNGKey, jax.random.key])
+def test_untyped_and_typed_keys(env, key):
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(key(2), 4))
     assert state.obs["depth"].shape == (4, 12, 16)
-    step = jax.jit(wrapped.step)
-    for _ in range(5):
-        state = step(state, jnp.full(4, STAND))
-    np.testing.assert_array_equal(state.done, np.ones(4))
-    np.testing.assert_array_equal(state.info["truncation"], np.ones(4))
+    same = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(2), 4))
+    jax.tree.map(np.testing.assert_array_equal, state, same)
+
+
+def test_a_step_keeps_what_wrappers_have_put_there(env, fresh, step):
+    state = fresh.replace(
+        metrics=fresh.metrics | {"reward": jnp.float32(7)}, info={"truncation": jnp.float32(1)}
+    )
+    after = step(state, jnp.int32(AHEAD))
+    assert signature(state) == signature(after)
+    assert after.metrics["reward"] == 7 and after.info["truncation"] == 1
+
+
+def test_physics_and_camera_ask_for_whole_float32_products(env, fresh):
+    """GPUs would round the factors of a product to 11 bits, centimetres in the depth image."""
+    text = str(jax.make_jaxpr(env.step)(fresh, jnp.int32(AHEAD)))
+    products = text.count("dot_general[")
+    assert products > 0 and text.count("Precision.HIGHEST") == 2 * products
 
 
 def test_actions_are_speed_by_yaw_rate(env, fly_batch):
@@ -207,7 +285,7 @@ def test_reset_draws_every_row_and_every_heading_alike(env):
     keys = jax.random.split(jax.random.PRNGKey(3), 4000)
     state = jax.jit(jax.vmap(env.reset))(keys)
     table = pecjax.COORDINATE_SET_1
-    starts, goals = state.info["config"]
+    starts, goals = state.pipeline_state.config
     row = np.argmax(
         np.all(starts[:, None] == table.start, axis=-1) & np.all(goals[:, None] == table.goal, axis=-1),
         axis=1,
@@ -229,8 +307,8 @@ def test_reset_to_starts_in_the_configuration_given(env):
     row = jax.tree.map(lambda leaf: jnp.asarray(leaf)[7], pecjax.COORDINATE_SET_2)
     state = env.reset_to(row, jax.random.PRNGKey(0))
     np.testing.assert_array_equal(state.pipeline_state.qpos[:2], (5, -2))
-    np.testing.assert_array_equal(state.info["config"].goal, (0, 5))
-    assert state.done == 0 and state.info["step_count"] == 0
+    np.testing.assert_array_equal(state.pipeline_state.config.goal, (0, 5))
+    assert state.done == 0 and state.pipeline_state.step_count == 0
 
 
 def test_control_period_must_be_a_multiple_of_the_physics_step(scene):

@@ -201,6 +201,16 @@ def test_kl_coefficient_by_hand(kl, factor):
         np.testing.assert_allclose(after, before * factor, rtol=1e-6)
 
 
+def test_a_kl_coefficient_that_halves_for_ever_can_still_rise():
+    weight = jnp.float32(0.2)
+    for _ in range(200):
+        weight = ppo_update.adapt_kl_coeff(weight, jnp.float32(0.0), 0.01)
+    assert 0 < weight < 1e-29
+    assert ppo_update.adapt_kl_coeff(weight, jnp.float32(1.0), 0.01) == 1.5 * weight
+    # Where there is no such term its weight is 0 and stays there.
+    assert ppo_update.adapt_kl_coeff(jnp.float32(0.0), jnp.float32(1.0), 0.01) == 0
+
+
 def test_samples_are_shuffled_once_and_then_only_their_parts():
     rows = np.asarray(ppo_update.minibatch_rows(RLLIB, jax.random.key(0), 5000))
     assert rows.shape == (30 * 39, 128)

@@ -40,6 +40,27 @@ def test_draws_are_proportional_and_never_of_priority_zero(number, stratified):
         assert stats.chisquare(found[likely > 0], 1e6 * likely[likely > 0]).pvalue > 1e-3
 
 
+@pytest.mark.parametrize("stratified", [False, True])
+def test_leaves_of_low_priority_in_a_large_tree_are_drawn_as_often_as_they_should_be(stratified):
+    """A quarter of a million of them share a fiftieth of the mass, each 8e-8 of it."""
+    size = 2**18
+    priorities = np.full(size, 0.02 / size, np.float32)
+    priorities[::1024] += 0.98 / 256
+    draw = jax.jit(sum_tree.draw, static_argnums=(2, 3))
+    tree = tree_of(priorities)
+    found = np.zeros(size, int)
+    for key in jax.random.split(jax.random.key(2), 8):
+        found += np.bincount(draw(tree, key, 2**20, stratified), minlength=size)
+    rare = np.arange(size) % 1024 > 0
+    mean = found.sum() * 0.02 / size
+    assert 0.6 < mean < 0.7
+    # How many are drawn 0, 1, 2, … times is Poisson's.
+    times = np.append(np.bincount(found[rare], minlength=5)[:5], (found[rare] >= 5).sum())
+    wanted = stats.poisson(mean).pmf(np.arange(5))
+    wanted = rare.sum() * np.append(wanted, 1 - wanted.sum())
+    assert stats.chisquare(times, wanted).pvalue > 1e-3
+
+
 def test_the_root_is_the_float64_sum_after_100000_updates_with_duplicates():
     size, batch = 1000, 100
 

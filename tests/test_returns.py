@@ -70,8 +70,8 @@ def test_the_step_limit_of_the_environment_is_such_an_ending(env):
     """One step before the limit, in the open, standing still: done, and a failure."""
     config = type(env.configurations)(*(jnp.asarray(leaf)[0] for leaf in env.configurations))
     state = env.place(config, jnp.zeros(()))
-    counted = state.info | {"step_count": jnp.int32(env.settings.max_steps - 1)}
-    last = jax.jit(env.advance)(state.replace(info=counted), jnp.int32(2))
+    counted = state.pipeline_state._replace(step_count=jnp.int32(env.settings.max_steps - 1))
+    last = jax.jit(env.advance)(state.replace(pipeline_state=counted), jnp.int32(2))
     assert (last.done, last.metrics["timeout"], last.metrics["goal"]) == (1, 1, 0)
     value = np.float32(123.0)
     advantage = generalized_advantage(

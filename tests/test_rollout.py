@@ -84,7 +84,7 @@ def refly(env, first, batches):
             total += float(state.reward)
             if state.done:
                 metrics = {name: float(value) for name, value in state.metrics.items()}
-                log.append((config, total, int(state.info["step_count"]), metrics, t))
+                log.append((config, total, int(state.pipeline_state.step_count), metrics, t))
                 state = None
         logs.append(log)
     return logs
@@ -227,5 +227,5 @@ def test_resets_draw_from_the_sampler(scene):
 def test_launch_starts_at_zero(first):
     assert isinstance(first, Fleet)
     np.testing.assert_array_equal(first.episode_return, np.zeros(NUM_ENVS))
-    np.testing.assert_array_equal(first.state.info["step_count"], np.zeros(NUM_ENVS))
+    np.testing.assert_array_equal(first.state.pipeline_state.step_count, np.zeros(NUM_ENVS))
     np.testing.assert_array_equal(first.state.pipeline_state.qpos[:, :2], TABLE.start[first.config_id])

@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from pecjax.agents.rollout import Episodes
-from pecjax.curriculum.sampler import tally
+from pecjax.curriculum.base import count_outcomes
 
 AXIS = "devices"
 
@@ -114,7 +114,7 @@ def summarize(
     if axis_name is not None:
         sums = (seen, return_sum, length_sum, unstable)
         seen, return_sum, length_sum, unstable = jax.lax.psum(sums, axis_name)
-    counts = tally(episodes.outcomes, num_configs, axis_name)
+    counts = count_outcomes(episodes.outcomes, num_configs, axis_name)
     return Metrics(counts, seen, return_sum, length_sum, unstable, finite, losses)
 
 

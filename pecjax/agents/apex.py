@@ -9,13 +9,20 @@ import jax.numpy as jnp
 
 from pecjax.agents import replay
 from pecjax.agents.agent import Agent, Metrics, TrainState, are_finite, summarize
-from pecjax.agents.apex_update import ApexSettings, Learner, double_value, make_optimizer, update
+from pecjax.agents.apex_update import (
+    ApexSettings,
+    Learner,
+    count_on,
+    double_value,
+    make_optimizer,
+    update,
+)
 from pecjax.agents.networks import encode
 from pecjax.agents.q_network import QNetwork, action_values
 from pecjax.agents.replay import Frame, Replay, Rows, compress, expand
 from pecjax.agents.returns import n_step_return
 from pecjax.agents.rollout import Episodes, Fleet, Trajectory, global_ids, launch, rollout
-from pecjax.curriculum.sampler import Sampler
+from pecjax.curriculum.base import Sampler
 from pecjax.world.coordinates import Configurations
 from pecjax.world.navigation import RoomsNavigation, observation
 
@@ -139,7 +146,7 @@ def make(
             learner, actors = carry
             key_fly, key_learn = jax.random.split(key)
             actors, episodes = fly(learner, actors, key_fly)
-            learner = learner._replace(sampled=learner.sampled + settings.fragment * num_envs)
+            learner = learner._replace(sampled=count_on(learner.sampled, settings.fragment * num_envs))
 
             def learn(learner: Learner, shards: Replay) -> tuple[Learner, Replay, dict[str, jax.Array]]:
                 return update(network, optimizer, settings, features, learner, shards, key_learn, axis_name)

@@ -122,7 +122,8 @@ class Learner(NamedTuple):
     Attributes:
         params, target: of the online and of the target network.
         optimizer: its state.
-        sampled, updates: () int32, environment steps taken, and updates made, in all.
+        sampled, updates: () int32, environment steps taken, and updates made, in all; they stop at
+            the greatest number of their type.
         copied: () int32, transitions trained on since the target was copied.
     """
 
@@ -132,6 +133,11 @@ class Learner(NamedTuple):
     sampled: jax.Array
     updates: jax.Array
     copied: jax.Array
+
+
+def count_on(count: jax.Array, number: int) -> jax.Array:
+    """The count (int32) and so many more, or its type's greatest number where that is less."""
+    return jnp.minimum(count, jnp.iinfo(count.dtype).max - number) + number
 
 
 def make_optimizer(settings: ApexSettings) -> optax.GradientTransformation:
@@ -204,7 +210,9 @@ def update(
         due = trained > settings.target_period
         target = jax.tree.map(lambda new, old: jnp.where(due, new, old), params, learner.target)
         copied = jnp.where(due, 0, trained)
-        learner = Learner(params, target, optimizer_state, learner.sampled, learner.updates + 1, copied)
+        learner = Learner(
+            params, target, optimizer_state, learner.sampled, count_on(learner.updates, 1), copied
+        )
         return (learner, shards), terms
 
     (learner, shards), terms = jax.lax.scan(step, (learner, shards), jax.random.split(key, settings.updates))

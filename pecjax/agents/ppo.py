@@ -11,7 +11,7 @@ from pecjax.agents.agent import Agent, Metrics, TrainState, are_finite, summariz
 from pecjax.agents.networks import ActorCritic, draw_action, encode, forward
 from pecjax.agents.ppo_update import Learner, PPOSettings, make_optimizer, prepare, update
 from pecjax.agents.rollout import global_ids, launch, rollout
-from pecjax.curriculum.sampler import Sampler
+from pecjax.curriculum.base import Sampler
 from pecjax.world.coordinates import Configurations
 from pecjax.world.navigation import RoomsNavigation, observation
 

@@ -82,6 +82,9 @@ class PPOSettings:
             )
 
 
+MIN_KL_COEFF = 1e-30  # float32 would go on to 0, and stay there
+
+
 class Learner(NamedTuple):
     """Parameters, optimiser state and the adaptive weight of the KL term."""
 
@@ -215,9 +218,9 @@ def minibatch_rows(settings: PPOSettings, key: jax.Array, num_rows: int) -> jax.
 
 
 def adapt_kl_coeff(kl_coeff: jax.Array, kl: jax.Array, target: float) -> jax.Array:
-    """RLlib 0.8.5's rule (`agents/ppo/ppo.py`, `update_kl`)."""
+    """RLlib 0.8.5's rule (`agents/ppo/ppo.py`, `update_kl`); a weight above 0 stays above it."""
     factor = jnp.where(kl > 2 * target, 1.5, jnp.where(kl < 0.5 * target, 0.5, 1.0))
-    return kl_coeff * factor
+    return jnp.maximum(kl_coeff * factor, jnp.minimum(kl_coeff, MIN_KL_COEFF))
 
 
 def _own_share(rows: jax.Array, axis_name: str) -> jax.Array:

@@ -24,9 +24,9 @@ class ReplaySettings:
         beta: β of the importance weights.
         epsilon: what is added to |TD error| for a priority.
         stratified: see `sum_tree.draw`.
-        normalize: what importance weights are divided by: the greatest in the `batch`, or the
-            greatest that any transition in the `shard` would have (RLlib 0.8.5; takes a pass over
-            the whole tree).
+        normalize: what importance weights are divided by: the greatest of the shard's part of the
+            `batch`, or the greatest that any transition in the `shard` would have (RLlib 0.8.5;
+            takes a pass over the whole tree).
     """
 
     capacity: int = 2**17

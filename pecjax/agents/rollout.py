@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 from brax.envs.base import State
 
-from pecjax.curriculum.sampler import Outcomes, Sampler
+from pecjax.curriculum.base import Outcomes, Sampler
 from pecjax.world.coordinates import Configurations
-from pecjax.world.navigation import RoomsNavigation
+from pecjax.world.navigation import RoomsNavigation, flight_state
 
 # (observations (B, …), chance (B,)) -> actions (B,) and whatever else the agent wants recorded;
 # chance is uniform in [0, 1), all the randomness that an action may have
@@ -141,7 +141,7 @@ def rollout(
         episodes = Episodes(
             Outcomes(fleet.config_id, done, done & (flown.metrics["goal"] == 0)),
             episode_return,
-            flown.info["step_count"],
+            flight_state(flown).step_count,
             flown.metrics["unstable"] > 0,
         )
         trajectory = Trajectory(fleet.state.obs, action, flown.reward, flown.done, extras)

@@ -9,6 +9,10 @@ import jax.numpy as jnp
 # 2 i + 1, node 1 the root, and nodes from C on the leaves. Parents are always added up anew from
 # their children: nothing drifts, and a leaf may be set twice at once.
 
+# A float32 number tells about 2²³ places of the total apart. Below so many levels a draw takes a
+# second one, or the leaves of low priority in a large tree would be drawn wrongly or never.
+LEVELS_AT_ONCE = 10
+
 
 def empty(capacity: int) -> jax.Array:
     """A tree of zeros with at least `capacity` leaves."""
@@ -31,14 +35,13 @@ def set_leaves(tree: jax.Array, leaves: jax.Array, priorities: jax.Array) -> jax
     Of a leaf that is named twice one of the priorities holds, and the sums above are right.
     """
     nodes = leaves + tree.size // 2
-    depth = (tree.size // 2).bit_length() - 1
 
     def up(_: int, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         tree, nodes = carry
         nodes = nodes // 2
         return tree.at[nodes].set(tree[2 * nodes] + tree[2 * nodes + 1]), nodes
 
-    return jax.lax.fori_loop(0, depth, up, (tree.at[nodes].set(priorities), nodes))[0]
+    return jax.lax.fori_loop(0, _depth(tree), up, (tree.at[nodes].set(priorities), nodes))[0]
 
 
 def find(tree: jax.Array, mass: jax.Array) -> jax.Array:
@@ -46,16 +49,7 @@ def find(tree: jax.Array, mass: jax.Array) -> jax.Array:
 
     A leaf of priority 0 is never found while there is another.
     """
-
-    def down(_: int, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        nodes, mass = carry
-        left, right = tree[2 * nodes], tree[2 * nodes + 1]
-        # Where rounding has left more mass than there is, the last leaf with any is meant.
-        go_left = (mass < left) | (right == 0)
-        return 2 * nodes + jnp.where(go_left, 0, 1), jnp.where(go_left, mass, mass - left)
-
-    depth = (tree.size // 2).bit_length() - 1
-    nodes, _ = jax.lax.fori_loop(0, depth, down, (jnp.ones(mass.shape, jnp.int32), mass))
+    nodes, _ = _descend(tree, jnp.ones(mass.shape, jnp.int32), mass, _depth(tree))
     return nodes - tree.size // 2
 
 
@@ -69,4 +63,29 @@ def draw(tree: jax.Array, key: jax.Array, number: int, stratified: bool) -> jax.
     chance = jax.random.uniform(key, (number,))
     if stratified:
         chance = (jnp.arange(number) + chance) / number
-    return find(tree, chance * total(tree))
+    depth = _depth(tree)
+    nodes, mass = _descend(
+        tree, jnp.ones(number, jnp.int32), chance * total(tree), min(depth, LEVELS_AT_ONCE)
+    )
+    if depth > LEVELS_AT_ONCE:
+        mass = jax.random.uniform(jax.random.fold_in(key, 1), (number,)) * tree[nodes]
+        nodes, _ = _descend(tree, nodes, mass, depth - LEVELS_AT_ONCE)
+    return nodes - tree.size // 2
+
+
+def _depth(tree: jax.Array) -> int:
+    """Levels between the root and the leaves."""
+    return (tree.size // 2).bit_length() - 1
+
+
+def _descend(tree: jax.Array, nodes: jax.Array, mass: jax.Array, levels: int) -> tuple[jax.Array, jax.Array]:
+    """So many levels down from nodes (M,), to where the mass lies, and what is left of it there."""
+
+    def down(_: int, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        nodes, mass = carry
+        left, right = tree[2 * nodes], tree[2 * nodes + 1]
+        # Where rounding has left more mass than there is, the last leaf with any is meant.
+        go_left = (mass < left) | (right == 0)
+        return 2 * nodes + jnp.where(go_left, 0, 1), jnp.where(go_left, mass, mass - left)
+
+    return jax.lax.fori_loop(0, levels, down, (nodes, mass))

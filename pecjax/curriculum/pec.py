@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pecjax.curriculum.sampler import Outcomes, Sampler, choose, tally
+from pecjax.curriculum.base import Outcomes, Sampler, check_num_configs, count_outcomes
+from pecjax.curriculum.draws import sample_ids
 from pecjax.errors import InputError
 
 MAX_ALPHA = 1e6  # where float32 no longer tells it from uniform sampling
@@ -37,7 +39,7 @@ def pec(num_configs: int, alpha: float | jax.Array = 0.2) -> Sampler:
     Example:
         sampler = pec(num_configs=20, alpha=0.2)
         state = sampler.init()
-        ids = sampler.sample(state, jax.random.key(0), shape=(512,))
+        ids = sampler.sample(state, jax.random.key(0), shape=512)
         state = sampler.update(state, Outcomes(ids, done, failed))
 
     Args:
@@ -47,8 +49,7 @@ def pec(num_configs: int, alpha: float | jax.Array = 0.2) -> Sampler:
     Raises:
         InputError: fewer than one configuration, or α out of its range or NaN.
     """
-    if num_configs < 1:
-        raise InputError(f"num_configs is {num_configs}; a sampler needs at least 1 configuration")
+    check_num_configs(num_configs)
     if np.ndim(alpha):
         raise InputError(f"alpha has shape {np.shape(alpha)}; give one number, and vmap over several")
     if not isinstance(alpha, jax.core.Tracer) and not 0 <= alpha <= MAX_ALPHA:
@@ -63,10 +64,10 @@ def pec(num_configs: int, alpha: float | jax.Array = 0.2) -> Sampler:
         total = priority.sum()
         return jnp.where(total > 0, priority / jnp.where(total > 0, total, 1.0), 1 / num_configs)
 
-    def sample(state: PECState, key: jax.Array, shape: tuple[int, ...] = ()) -> jax.Array:
-        return choose(probabilities(state), key, shape)
+    def sample(state: PECState, key: jax.Array, shape: int | Sequence[int] = ()) -> jax.Array:
+        return sample_ids(probabilities(state), key, shape)
 
     def update(state: PECState, outcomes: Outcomes, axis_name: str | None = None) -> PECState:
-        return state._replace(counts=state.counts + tally(outcomes, num_configs, axis_name))
+        return state._replace(counts=state.counts + count_outcomes(outcomes, num_configs, axis_name))
 
     return Sampler(init, probabilities, sample, update)

@@ -13,7 +13,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from pecjax.agents.agent import AXIS, Agent
 from pecjax.agents.rollout import env_keys
 from pecjax.world.coordinates import Configurations
-from pecjax.world.navigation import RoomsNavigation, drone_state
+from pecjax.world.navigation import RoomsNavigation, flight_state
 
 
 class Flights(NamedTuple):
@@ -140,13 +140,13 @@ def fly_to_the_end(
 
         returns = returns + jnp.where(over, 0.0, flown.reward)
         state = jax.tree.map(keep, state, flown)
-        return time + 1, state, returns, paths.at[time + 1].set(drone_state(state).qpos[:, :2])
+        return time + 1, state, returns, paths.at[time + 1].set(flight_state(state).qpos[:, :2])
 
     time, state, returns, paths = jax.lax.while_loop(running, step, (0, start, jnp.zeros(number), paths))
-    last = drone_state(state).qpos[:, :2]
+    last = flight_state(state).qpos[:, :2]
     paths = jnp.where(jnp.arange(limit + 1)[:, None, None] > time, last, paths)
     return Flights(
-        config_id, state.metrics["goal"] > 0, returns, state.info["step_count"], paths.swapaxes(0, 1)
+        config_id, state.metrics["goal"] > 0, returns, flight_state(state).step_count, paths.swapaxes(0, 1)
     )
 
 

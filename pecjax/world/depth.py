@@ -42,9 +42,11 @@ def depth_image(scene: Scene, position: jax.Array, quaternion: jax.Array) -> jax
     """
     camera = scene.camera
     rotation = quaternion_to_matrix(quaternion)
-    origin = position + rotation @ jnp.asarray(camera.position, position.dtype)
     local = jnp.asarray(pixel_directions(camera).reshape(-1, 3).T, position.dtype)
-    depth = cast(scene, origin, rotation @ local)
+    with jax.default_matmul_precision("highest"):  # GPUs would round products to 11 bits
+        origin = position + rotation @ jnp.asarray(camera.position, position.dtype)
+        directions = rotation @ local
+    depth = cast(scene, origin, directions)
     return jnp.clip(depth, camera.near, camera.far).reshape(camera.height, camera.width)
 
 

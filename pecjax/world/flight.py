@@ -13,9 +13,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from mujoco import mjx
 
 from pecjax.world.clearance import wall_distance
+from pecjax.world.quiet_mjx import mjx
 from pecjax.world.rotations import dot, heading_to_quaternion, quaternion_to_matrix
 from pecjax.world.scene import Scene
 
@@ -148,7 +148,8 @@ def physics_step(scene: Scene, state: DroneState, controls: jax.Array) -> DroneS
     up = quaternion_to_matrix(state.qpos[3:])[:, 2]
     applied = jnp.concatenate([thrust * up, jnp.stack(torque)])
     data = mjx.make_data(scene.model).replace(qpos=state.qpos, qvel=state.qvel, qfrc_applied=applied)
-    data = mjx.step(scene.physics, data)
+    with jax.default_matmul_precision("highest"):  # GPUs would round products to 11 bits
+        data = mjx.step(scene.physics, data)
     return DroneState(data.qpos, data.qvel)
 
 

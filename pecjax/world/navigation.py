@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -52,9 +52,29 @@ class NavigationSettings:
     gains: ControllerGains = ControllerGains()
 
 
-def drone_state(state: State) -> DroneState:
-    """The drone within a Brax state."""
-    return cast(DroneState, state.pipeline_state)
+class FlightState(NamedTuple):
+    """All that an episode carries from action to action.
+
+    It is the `pipeline_state` of a Brax state, the part that Brax's own automatic reset restores.
+
+    Attributes:
+        qpos: (7,) position m and attitude quaternion w-x-y-z, in the world.
+        qvel: (6,) velocity m/s in the world, body rates rad/s in the drone's frame.
+        config: the episode's configuration, one row of a table.
+        step_count: () int32, actions taken.
+        standing_count: () int32, of these the last in a row that asked for no speed.
+    """
+
+    qpos: jax.Array
+    qvel: jax.Array
+    config: Configurations
+    step_count: jax.Array
+    standing_count: jax.Array
+
+
+def flight_state(state: State) -> FlightState:
+    """The flight within a Brax state."""
+    return cast(FlightState, state.pipeline_state)
 
 
 def observation(state: State) -> dict[str, jax.Array]:
@@ -69,10 +89,12 @@ class RoomsNavigation(Env):
     [0, 15): 5 × speed index + yaw-rate index, over `SPEEDS` and `YAW_RATES` (2 stands still,
     12 flies straight ahead at 2 m/s). The observation is a dict of `depth` (H, W) m and `goal`
     (2,): level distance to the goal in m, and its bearing off the heading in rad, in [-π, π),
-    positive to the left. `info` holds the episode's configuration and its counters; `metrics`
-    holds which ending came about: `goal`, `collision`, `timeout`, each 0 or 1.
+    positive to the left. `pipeline_state` is a `FlightState`; `metrics` says which ending came
+    about: `goal`, `collision`, `timeout`, each 0 or 1, and `unstable` where physics blew up, a
+    collision too. A step keeps whatever else wrappers have put into `metrics` and `info`.
 
-    The environment never resets itself: draw a configuration and call `reset_to`.
+    The environment never resets itself: draw a configuration and call `reset_to`. Under
+    `brax.envs.training.wrap`, a reset repeats each environment's first configuration.
     """
 
     def __init__(
@@ -110,18 +132,14 @@ class RoomsNavigation(Env):
     def place(self, config: Configurations, heading: jax.Array) -> State:
         """`reset_to` with the heading (rad) given and the observation left for `observe`."""
         height = jnp.full(1, self.settings.flight_height)
-        zero = jnp.zeros(())
+        drone = hover(jnp.concatenate([config.start, height]), heading)
+        zero, no_steps = jnp.zeros(()), jnp.zeros((), jnp.int32)
         return State(
-            pipeline_state=cast(Any, hover(jnp.concatenate([config.start, height]), heading)),
+            pipeline_state=cast(Any, FlightState(drone.qpos, drone.qvel, config, no_steps, no_steps)),
             obs={},
             reward=zero,
             done=zero,
             metrics={"goal": zero, "collision": zero, "timeout": zero, "unstable": zero},
-            info={
-                "config": config,
-                "step_count": jnp.zeros((), jnp.int32),
-                "standing_count": jnp.zeros((), jnp.int32),
-            },
         )
 
     def advance(self, state: State, action: jax.Array) -> State:
@@ -129,7 +147,8 @@ class RoomsNavigation(Env):
         settings = self.settings
         speed = jnp.asarray(SPEEDS, jnp.float32)[action // len(YAW_RATES)]
         yaw_rate = jnp.asarray(YAW_RATES, jnp.float32)[action % len(YAW_RATES)]
-        before = drone_state(state)
+        flight = flight_state(state)
+        before = DroneState(flight.qpos, flight.qvel)
         drone, nearest = fly(
             self.scene,
             settings.gains,
@@ -140,12 +159,11 @@ class RoomsNavigation(Env):
         # Physics that has blown up counts as a collision, and goes no further than this episode.
         unstable = ~jnp.all(jnp.abs(jnp.concatenate(drone)) < mujoco.mjMAXVAL)
         drone = jax.tree.map(lambda old, new: jnp.where(unstable, old, new), before, drone)
-        info = state.info
-        step_count = info["step_count"] + 1
-        standing_count = (speed == 0) * (info["standing_count"] + 1)
+        step_count = flight.step_count + 1
+        standing_count = (speed == 0) * (flight.standing_count + 1)
 
         collision = (nearest <= self.scene.drone_radius) | unstable
-        distance = jnp.linalg.norm(info["config"].goal - drone.qpos[:2])
+        distance = jnp.linalg.norm(flight.config.goal - drone.qpos[:2])
         goal = (distance < settings.goal_radius) & ~collision
         timeout = (step_count >= settings.max_steps) & ~goal & ~collision
         reward = (
@@ -155,27 +173,27 @@ class RoomsNavigation(Env):
             + settings.timeout_reward * timeout
             + settings.standing_reward * (standing_count > settings.standing_limit)
         )
+        endings = {"goal": goal, "collision": collision, "timeout": timeout, "unstable": unstable}
         return state.replace(
-            pipeline_state=drone,
+            pipeline_state=FlightState(drone.qpos, drone.qvel, flight.config, step_count, standing_count),
             reward=jnp.asarray(reward, jnp.float32),
             done=(goal | collision | timeout).astype(jnp.float32),
-            metrics={
-                "goal": goal.astype(jnp.float32),
-                "collision": collision.astype(jnp.float32),
-                "timeout": timeout.astype(jnp.float32),
-                "unstable": unstable.astype(jnp.float32),
-            },
-            info=info | {"step_count": step_count, "standing_count": standing_count},
+            metrics=state.metrics | {name: came.astype(jnp.float32) for name, came in endings.items()},
         )
 
     def observe(self, state: State) -> State:
         """Fills in the observation of the state as it stands."""
-        drone = drone_state(state)
-        offset = state.info["config"].goal - drone.qpos[:2]
-        bearing = jnp.arctan2(offset[1], offset[0]) - heading(drone.qpos[3:])
+        flight = flight_state(state)
+        offset = flight.config.goal - flight.qpos[:2]
+        bearing = jnp.arctan2(offset[1], offset[0]) - heading(flight.qpos[3:])
         goal = jnp.stack([jnp.linalg.norm(offset), (bearing + jnp.pi) % (2 * jnp.pi) - jnp.pi])
-        depth = depth_image(self.scene, drone.qpos[:3], drone.qpos[3:])
+        depth = depth_image(self.scene, flight.qpos[:3], flight.qpos[3:])
         return state.replace(obs={"depth": depth, "goal": goal})
+
+    @property
+    def dt(self) -> float:
+        """Seconds between actions."""
+        return self.settings.control_period
 
     @property
     def observation_size(self) -> dict[str, tuple[int, ...]]:

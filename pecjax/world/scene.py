@@ -9,7 +9,6 @@ from pathlib import Path
 import jax
 import mujoco
 import numpy as np
-from mujoco import mjx
 
 from pecjax.errors import InputError
 from pecjax.world.drone import (
@@ -22,6 +21,7 @@ from pecjax.world.drone import (
     read_rotors,
 )
 from pecjax.world.mjcf_file import compile_mjcf
+from pecjax.world.quiet_mjx import mjx
 
 MAX_WALLS = 1000  # each is a part of every step's program
 MAX_EXTENT = 1000  # m, from the origin

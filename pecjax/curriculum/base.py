@@ -1,0 +1,125 @@
+"""The sampler's contract, and the counts of outcomes that samplers learn from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pecjax.errors import InputError
+
+
+class Outcomes(NamedTuple):
+    """What became of some environments, in arrays that broadcast against one another.
+
+    Lists and scalars will do, and ids (B,) serve flags (T, B).
+
+    Attributes:
+        config_id: int, the configuration that the running episode was reset with.
+        done: bool or 0/1, whether the episode ended here; the others do not count.
+        failed: bool or 0/1, whether it ended in failure.
+    """
+
+    config_id: Any
+    done: Any
+    failed: Any
+
+
+class Sampler(NamedTuple):
+    """A way to choose configurations: four pure functions over a state that is a pytree.
+
+    Attributes:
+        init: () -> state.
+        probabilities: (state) -> (N,), sums to 1.
+        sample: (state, key, shape=()) -> int32 configuration numbers of that shape, a tuple or an
+            int. It only reads the state.
+        update: (state, outcomes, axis_name=None) -> state; with an axis name, the outcomes of
+            all devices on that mesh axis are summed.
+    """
+
+    init: Callable[[], Any]
+    probabilities: Callable[[Any], jax.Array]
+    sample: Callable[..., jax.Array]
+    update: Callable[..., Any]
+
+
+def count_outcomes(outcomes: Outcomes, num_configs: int, axis_name: str | None = None) -> jax.Array:
+    """Counts (2, N) int32 of trials and of failures per configuration, by segment sums.
+
+    A trial counts when its episode ends; duplicates add up.
+
+    What is traced (inside `jax.jit` and the like) has no values to check: there, an id outside
+    [0, N) is dropped, and any `done` or `failed` other than 0 counts as true.
+
+    Raises:
+        InputError: arrays that do not broadcast, ids that are no integers, or, among what is done
+            and has values to look at, an id outside [0, N), or a `failed` other than 0 and 1.
+    """
+    config_id, done, failed = _broadcast(outcomes)
+    _check_values(config_id, done, failed, num_configs)
+    config_id, done, failed = (jnp.ravel(jnp.asarray(part)) for part in (config_id, done, failed))
+    done = done.astype(bool)
+    counts = jnp.stack([
+        jax.ops.segment_sum(flags.astype(jnp.int32), config_id, num_segments=num_configs)
+        for flags in (done, done & failed.astype(bool))
+    ])  # fmt: skip
+    return counts if axis_name is None else jax.lax.psum(counts, axis_name)
+
+
+def check_num_configs(num_configs: int) -> None:
+    """Raises InputError where there is no configuration to draw."""
+    if num_configs < 1:
+        raise InputError(f"num_configs is {num_configs}; a sampler needs at least 1 configuration")
+
+
+def _broadcast(outcomes: Outcomes) -> list[Any]:
+    """The three parts in one shape; those with values to look at as NumPy arrays."""
+    parts = [_on_host(part) for part in outcomes]
+    try:
+        shape = np.broadcast_shapes(*map(np.shape, parts))
+    except ValueError as error:
+        shapes = ", ".join(f"{name} {np.shape(part)}" for name, part in outcomes._asdict().items())
+        raise InputError(f"outcomes: {shapes} do not broadcast; give arrays of one shape") from error
+    return [(np if _has_values(part) else jnp).broadcast_to(part, shape) for part in parts]
+
+
+def _on_host(part: Any) -> Any:
+    is_hidden = isinstance(part, jax.core.Tracer) or (
+        isinstance(part, jax.Array) and not part.is_fully_addressable  # partly another process's
+    )
+    return part if is_hidden else np.asarray(part)
+
+
+def _has_values(part: Any) -> bool:
+    return isinstance(part, np.ndarray)
+
+
+def _check_values(config_id: Any, done: Any, failed: Any, num_configs: int) -> None:
+    """Raises InputError for ids and flags that cannot be meant, as far as they can be looked at."""
+    if not np.issubdtype(config_id.dtype, np.integer):
+        raise InputError(
+            f"outcomes: config_id is of type {config_id.dtype}; give integers from 0 to {num_configs - 1}"
+        )
+    counted = _truth("done", done, True) if _has_values(done) else None
+    if counted is None:  # nobody knows which of the others count
+        return
+    if _has_values(config_id):
+        outside = counted & ((config_id < 0) | (config_id >= num_configs))
+        if outside.any():
+            raise InputError(
+                f"outcomes: config_id {config_id[outside][0]} does not exist; "
+                f"the sampler has configurations 0 to {num_configs - 1}"
+            )
+    if _has_values(failed):
+        _truth("failed", failed, counted)
+
+
+def _truth(name: str, flags: np.ndarray, counted: np.ndarray | bool) -> np.ndarray:
+    """Flags as bool, where those that count are 0 or 1."""
+    wrong = counted & (flags != 0) & (flags != 1)
+    if wrong.any():
+        raise InputError(f"outcomes: {name} is {flags[wrong][0]}; give bool, or 0 and 1")
+    return flags.astype(bool)

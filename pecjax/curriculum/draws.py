@@ -1,0 +1,49 @@
+"""Draws in proportion to given probabilities, exact for a million configurations too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+# One draw by `jax.random.choice` tells about 2²³ places of the whole apart, the grain of a float32
+# uniform. That is plenty for so many configurations, and far too little for a million.
+MAX_AT_ONCE = 1024
+BRANCHES = 32  # of every level below
+
+
+def sample_ids(probabilities: jax.Array, key: jax.Array, shape: int | Sequence[int] = ()) -> jax.Array:
+    """Configuration numbers drawn independently, with replacement, in proportion to `probabilities`.
+
+    Up to `MAX_AT_ONCE` configurations it is `jax.random.choice`. More are put into blocks of
+    `BRANCHES`, and these into larger ones, until there are few enough for it; it draws one of the
+    largest, and a uniform number for every level below finds the place within. So each level has a
+    grain of its own, and none of N configurations is out of reach. Takes O(N) once for all draws.
+
+    Args:
+        probabilities: (N,) 0 or more; they need not sum to 1.
+        shape: of the result.
+
+    Returns:
+        int32, of the given shape.
+    """
+    shape = tuple(np.atleast_1d(np.asarray(shape, int)).tolist())
+    # Seen as a constant of the program, a large table would be summed up while it is compiled.
+    mass = jax.lax.optimization_barrier(probabilities)
+    levels: list[jax.Array] = []  # (blocks, BRANCHES) each, the finest first
+    while mass.shape[0] > MAX_AT_ONCE:
+        levels.append(jnp.pad(mass, (0, -mass.shape[0] % BRANCHES)).reshape(-1, BRANCHES))
+        mass = levels[-1].sum(axis=1)
+    key, key_below = jax.random.split(key) if levels else (key, key)
+    ids = jax.random.choice(key, mass.shape[0], shape, p=mass).astype(jnp.int32)
+    # (1 - u) of [0, 1) is above 0, as `jax.random.choice` has it: what has no mass is never reached.
+    chances = 1 - jax.random.uniform(key_below, (len(levels), *shape))
+    for level, chance in zip(reversed(levels), chances, strict=True):
+        # A running sum, which is several times slower by `jnp.cumsum`.
+        running = jnp.matmul(level, jnp.triu(jnp.ones((BRANCHES, BRANCHES))), precision="highest")
+        running = jnp.where(level > 0, running, 0.0)
+        place = jnp.argmax(running[ids] >= (chance * running.max(axis=1)[ids])[..., None], axis=-1)
+        ids = ids * BRANCHES + place.astype(jnp.int32)
+    return ids
