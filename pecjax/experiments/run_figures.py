@@ -21,6 +21,7 @@ from pecjax.experiments.drawing import (
 )
 from pecjax.experiments.map_figure import rooms
 from pecjax.experiments.measures import trial_and_failure_ratios
+from pecjax.experiments.plain_files import exact_text
 from pecjax.experiments.run_directory import RunDirectory
 from pecjax.world.scene import load_scene
 
@@ -41,7 +42,7 @@ def draw_run(folder: Path) -> list[Path]:
     run = RunDirectory(folder)
     settings = run.settings()
     tables = {name: read_table(folder / f"{name}.csv", columns) for name, columns in _COLUMNS.items()}
-    label = settings.sampler + (f" (α = {settings.alpha:g})" if settings.sampler == "pec" else "")
+    label = settings.sampler + (f" (α = {exact_text(settings.alpha)})" if settings.sampler == "pec" else "")
     label += f", {LEARNERS[settings.algorithm]}, coordinates {Path(settings.coordinates).name}"
     label += f", seed {settings.seed}"
     metrics, evaluation = tables["metrics"], tables["evaluation"]
