@@ -22,6 +22,7 @@ from pecjax.experiments.measures import (
     steps_until,
     trial_and_failure_ratios,
 )
+from pecjax.experiments.study_directory import StudyDirectory
 
 THRESHOLDS = (0.9, 0.95)
 BASELINE = "uniform"  # what others are paired with; the study's first condition where it is not there
@@ -51,8 +52,12 @@ def read_study(folder: Path) -> StudyTables:
     Raises:
         InputError: there are none, or two runs in them cannot be told apart.
     """
+    alphas = StudyDirectory(folder).settings().alphas
+    in_full = {float(f"{alpha:.7g}"): alpha for alpha in alphas}  # older versions wrote 7 digits
+    in_full |= {alpha: alpha for alpha in alphas}
     found = {name: read_table(folder / f"{name}.csv", columns) for name, columns in _COLUMNS.items()}
     for name, table in found.items():
+        table["alpha"] = [in_full.get(alpha, alpha) for alpha in table.alpha]
         pairs = zip(table.sampler, table.alpha, strict=True)
         table["condition"] = [
             s if np.isnan(alpha) else f"{s}, α = {plain_files.exact_text(alpha)}" for s, alpha in pairs
@@ -63,7 +68,8 @@ def read_study(folder: Path) -> StudyTables:
             row = twice.iloc[0]
             raise InputError(
                 f"{folder / f'{name}.csv'}: coordinates {row.coordinates}, {row.condition}, seed {row.seed} "
-                "is there twice; older versions wrote 7 digits of α, train the study again in another folder"
+                "is there twice; where two α share their first 7 digits, as older versions wrote them, "
+                "train the study again in another folder"
             )
     return StudyTables(**found)
 
