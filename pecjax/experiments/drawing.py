@@ -56,7 +56,15 @@ def save(figure: Figure, path: Path) -> list[Path]:
     return paths
 
 
+def steps_unit(most: float) -> tuple[float, str]:
+    """The unit in which so many environment steps have short ticks, and how a label names it."""
+    if most >= 1e6:
+        return 1e6, " (millions)"
+    return (1e3, " (thousands)") if most >= 1e4 else (1.0, "")
+
+
 def steps_axis(axes: Axes, batch: float) -> None:
-    """An axis of environment steps above one of iterations of `batch` steps."""
-    to_steps: tuple[Callable, Callable] = (lambda i: i * batch / 1e6, lambda s: s / batch * 1e6)
-    axes.secondary_xaxis("top", functions=to_steps).set_xlabel("environment steps (millions)")
+    """An axis of environment steps above one of iterations of `batch` steps; call it last."""
+    unit, of_unit = steps_unit(axes.get_xlim()[1] * batch)
+    to_steps: tuple[Callable, Callable] = (lambda i: i * batch / unit, lambda s: s / batch * unit)
+    axes.secondary_xaxis("top", functions=to_steps).set_xlabel(f"environment steps{of_unit}")
