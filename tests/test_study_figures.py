@@ -3,9 +3,11 @@
 import numpy as np
 import pandas as pd
 import pytest
-from synthetic import BATCH
+from matplotlib.figure import Figure
+from synthetic import BATCH, study_settings, write_study
 
-from pecjax.experiments import study_curves, study_ends
+from pecjax.experiments import study_curves, study_ends, study_report
+from pecjax.experiments.drawing import steps_axis
 
 INF = np.inf
 
@@ -49,6 +51,7 @@ def test_all_runs_held_and_stand_at_their_steps(scale):
         unit = {"(millions)": 1e6, "(thousands)": 1e3}.get(figure.axes[0].get_ylabel().split()[2][:-1], 1)
         numbers = longer * scale / unit * np.array([1, 2, 4, 3, 3, 5])
         np.testing.assert_allclose(drawn_points(axes)[:, 1], numbers)
+        assert numbers.max() < axes.get_ylim()[1]
         np.testing.assert_allclose(medians(axes), longer * scale / unit * np.array([2, 3]))
         assert not axes.patches and not [text for text in axes.texts if "not" in text.get_text()]
 
@@ -132,3 +135,51 @@ def test_exits_are_drawn_of_runs_that_had_one():
     assert axes.get_xlim()[1] < 60
     labels = axes.get_legend_handles_labels()[1]
     assert "a: exit (1 and 1 of 2 runs)" in labels and "b: exit (0 and 0 of 2 runs)" in labels
+
+
+@pytest.fixture(scope="module", params=[0.0, 1.0])
+def all_alike(request, tmp_path_factory):
+    """A study whose runs all fail, and one whose runs all succeed."""
+    folder = tmp_path_factory.mktemp("alike") / "study"
+    write_study(folder, study_settings((0.0, 0.2)), lambda member, progress: request.param)
+    return study_report.read_study(folder)
+
+
+def test_axes_of_ratios_show_ratios(all_alike):
+    runs = study_report.by_run(all_alike)
+    for axes in study_ends.alphas(runs).axes:
+        low, high = axes.get_ylim()
+        assert -0.05 <= low <= 0 and 0.1 <= high <= 1.05
+    for axes in study_curves.evaluation(all_alike.results).axes[:2]:
+        low, high = axes.get_ylim()
+        assert low < 0 and high > 1  # marks at 0 and 1 are whole
+
+
+def test_legends_say_what_bands_and_bars_are(all_alike):
+    runs = study_report.by_run(all_alike)
+    figures = [
+        study_curves.goal_ratio(all_alike),
+        study_curves.evaluation(all_alike.results),
+        study_curves.spread(all_alike.configurations),
+        study_curves.exits(all_alike.metrics, runs),
+        study_ends.alphas(runs),
+    ]
+    for figure in figures:
+        own = [axes.get_legend() for axes in figure.axes]
+        legends = [legend for legend in (*own, *figure.legends) if legend is not None]
+        assert legends
+        assert all("interquartile mean, 95 % interval" in legend.get_title().get_text() for legend in legends)
+
+
+@pytest.mark.parametrize(
+    ("batch", "unit", "label"), [(16_384, 1e6, "(millions)"), (512, 1e3, "(thousands)"), (16, 1, "steps")]
+)
+def test_steps_have_short_ticks(batch, unit, label):
+    axes = Figure().subplots()
+    axes.set_xlim(0, 100)
+    steps_axis(axes, batch)
+    (above,) = axes.child_axes
+    axes.figure.draw_without_rendering()
+    assert above.get_xlim() == pytest.approx((0, 100 * batch / unit))
+    assert above.get_xlabel().endswith(label)
+    assert all(len(tick.get_text()) <= 4 for tick in above.get_xticklabels())

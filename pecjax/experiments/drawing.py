@@ -17,6 +17,7 @@ from pecjax.experiments.plain_files import writing
 TRIALS, FAILURES, GOAL, PATH = "#9fb8cc", "#a0330f", "#00573f", "#1f5f99"
 LEARNERS = {"ppo": "PPO", "apex": "Ape-X DQN"}
 SMOOTHED_ITERATIONS = 20  # that a smoothed training goal ratio is the mean of
+RATIO_LIMITS = (-0.02, 1.02)  # of an axis whose marks at 0 and 1 are to be whole
 
 matplotlib.rcParams["svg.hashsalt"] = "pecjax"
 
