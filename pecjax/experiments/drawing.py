@@ -9,6 +9,7 @@ import matplotlib
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from pecjax.errors import InputError
 from pecjax.experiments.plain_files import writing
@@ -55,6 +56,11 @@ def save(figure: Figure, path: Path) -> list[Path]:
         figure.savefig(paths[0], dpi=150)
         figure.savefig(paths[1], metadata={"Date": None})
     return paths
+
+
+def whole_ticks(axes: Axes) -> None:
+    """Ticks of the x axis at whole numbers only: iterations and configurations have no others."""
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
 
 
 def steps_unit(most: float) -> tuple[float, str]:

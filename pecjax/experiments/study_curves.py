@@ -9,9 +9,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
-from pecjax.experiments.drawing import RATIO_LIMITS, SMOOTHED_ITERATIONS, steps_axis
+from pecjax.experiments.drawing import RATIO_LIMITS, SMOOTHED_ITERATIONS, steps_axis, whole_ticks
 from pecjax.experiments.measures import interval, trial_and_failure_ratios
 from pecjax.experiments.study_report import THRESHOLDS, StudyTables
 
@@ -44,7 +43,7 @@ def _curves(axes: Axes, table: pd.DataFrame, column: str, label: str, marks: boo
         axes.plot(by_iteration.index, found[:, 0], color=color, linestyle=dashes, label=condition, **style)
         axes.fill_between(by_iteration.index, found[:, 1], found[:, 2], color=color, alpha=0.18, linewidth=0)
     axes.set(xlabel="iteration", ylabel=label)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    whole_ticks(axes)
     axes.grid(alpha=0.3)
 
 
