@@ -28,6 +28,22 @@ def test_cvar_is_the_mean_of_the_worst_tenth():
     assert cvar(np.array([np.nan] + [0.8] * 19)) == pytest.approx(0.8)  # not flown, not counted
 
 
+@pytest.mark.parametrize("flown", [0, 1, 4, 15, 20, 40, 200])
+def test_the_worst_tenth_is_of_the_configurations_flown(flown):
+    rng = np.random.default_rng(flown)
+    ratios = np.full((3, 200), np.nan)
+    for row in ratios:
+        row[rng.permutation(200)[:flown]] = rng.random(flown)
+    found = cvar(ratios)
+    for row, value in zip(ratios, found, strict=True):
+        kept = sorted(ratio for ratio in row if not np.isnan(ratio))
+        wanted = np.mean(kept[: max(1, round(flown / 10))]) if kept else np.nan
+        assert value == pytest.approx(wanted, nan_ok=True)
+    ratios[0] = np.arange(200)  # each row counts its own
+    np.testing.assert_allclose(cvar(ratios)[1:], found[1:])
+    assert cvar(ratios)[0] == pytest.approx(9.5)
+
+
 @pytest.mark.parametrize(
     ("ratios", "at"),
     [

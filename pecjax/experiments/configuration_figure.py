@@ -6,7 +6,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pecjax.experiments.drawing import FAILURES, TRIALS
+from pecjax.experiments.drawing import FAILURES, TRIALS, whole_ticks
 from pecjax.experiments.measures import trial_and_failure_ratios
 
 SNAPSHOTS = 4  # iterations shown side by side, as in the paper's Fig. 5
@@ -45,11 +45,16 @@ def _trials_and_failures(axes: Axes, rows: pd.DataFrame) -> Axes:
     """
     twin = axes.twinx()
     axes.bar(rows.config, rows.trial, color=TRIALS, label="trial ratio")
-    twin.plot(
-        rows.config, rows.failure, "o-", color=FAILURES, markersize=3, linewidth=1, label="failure ratio"
-    )
+    style = {
+        "markersize": 3,
+        "linewidth": 1,
+        "label": "failure ratio",
+        "clip_on": False,
+    }  # marks at 0 are whole
+    twin.plot(rows.config, rows.failure, "o-", color=FAILURES, **style)
     twin.set_ylim(0, 1)
-    axes.set_xlabel("configuration c")
+    axes.set(xlabel="configuration c", xlim=(-0.7, rows.config.max() + 0.7))
+    whole_ticks(axes)
     return twin
 
 

@@ -9,6 +9,7 @@ import matplotlib
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from pecjax.errors import InputError
 from pecjax.experiments.plain_files import writing
@@ -17,6 +18,7 @@ from pecjax.experiments.plain_files import writing
 TRIALS, FAILURES, GOAL, PATH = "#9fb8cc", "#a0330f", "#00573f", "#1f5f99"
 LEARNERS = {"ppo": "PPO", "apex": "Ape-X DQN"}
 SMOOTHED_ITERATIONS = 20  # that a smoothed training goal ratio is the mean of
+RATIO_LIMITS = (-0.02, 1.02)  # of an axis whose marks at 0 and 1 are to be whole
 
 matplotlib.rcParams["svg.hashsalt"] = "pecjax"
 
@@ -25,18 +27,20 @@ def read_table(path: Path, columns: set[str]) -> pd.DataFrame:
     """Reads a CSV file that must have rows, and these columns of numbers.
 
     Raises:
-        InputError: it is not there or has not.
+        InputError: the file is missing, is no table, or lacks one of them.
     """
     if not path.is_file():
-        raise InputError(f"{path}: missing; it has not come to its end")
+        raise InputError(f"{path}: missing; the run or study has not got that far, train it to its end")
     try:
-        table = pd.read_csv(path)
+        # Both are keys: every digit of α counts, and sets of coordinates named 1 and 01 differ.
+        keys = {"alpha": lambda text: float(text or "nan"), "coordinates": str}
+        table = pd.read_csv(path, converters=keys)
     except ValueError as error:  # pandas' own errors are of this kind
-        raise InputError(f"{path}: not a table ({error}); it must be done again") from error
+        raise InputError(f"{path}: not a table ({error}); train again") from error
     numeric = set(table.select_dtypes("number").columns)
     if not columns <= numeric or table.empty:
         lacking = ", ".join(sorted(columns - numeric)) or "rows"
-        raise InputError(f"{path}: lacks {lacking}; it must be done again")
+        raise InputError(f"{path}: lacks {lacking}; train again")
     return table
 
 
@@ -54,7 +58,20 @@ def save(figure: Figure, path: Path) -> list[Path]:
     return paths
 
 
+def whole_ticks(axes: Axes) -> None:
+    """Ticks of the x axis at whole numbers only: iterations and configurations have no others."""
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+
+
+def steps_unit(most: float) -> tuple[float, str]:
+    """The unit in which so many environment steps have short ticks, and how a label names it."""
+    if most >= 1e6:
+        return 1e6, " (millions)"
+    return (1e3, " (thousands)") if most >= 1e4 else (1.0, "")
+
+
 def steps_axis(axes: Axes, batch: float) -> None:
-    """An axis of environment steps above one of iterations of `batch` steps."""
-    to_steps: tuple[Callable, Callable] = (lambda i: i * batch / 1e6, lambda s: s / batch * 1e6)
-    axes.secondary_xaxis("top", functions=to_steps).set_xlabel("environment steps (millions)")
+    """An axis of environment steps above one of iterations of `batch` steps; call it last."""
+    unit, of_unit = steps_unit(axes.get_xlim()[1] * batch)
+    to_steps: tuple[Callable, Callable] = (lambda i: i * batch / unit, lambda s: s / batch * unit)
+    axes.secondary_xaxis("top", functions=to_steps).set_xlabel(f"environment steps{of_unit}")

@@ -2,17 +2,34 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable, viridis
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyArrowPatch, Rectangle
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, FancyArrowPatch, Patch, Rectangle
 
 from pecjax.experiments.drawing import FAILURES, GOAL, PATH
 from pecjax.world.coordinates import Configurations
+from pecjax.world.navigation import NavigationSettings
 from pecjax.world.scene import Scene
+
+LARGEST = 1000  # m, of a wall that has ends
+# How walls look: at the flight height, below or above it, and a floor or ceiling.
+SOLID: dict[str, Any] = {"facecolor": "0.35", "linewidth": 0, "zorder": 1}
+PASSED: dict[str, Any] = {
+    "facecolor": "none",
+    "edgecolor": "0.65",
+    "hatch": "////",
+    "linewidth": 0.6,
+    "zorder": 0.8,
+}
+COVER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.8", "linewidth": 0.6, "zorder": 0.6}
 
 
 def rooms(scene: Scene, table: Configurations, trajectories: pd.DataFrame | None = None) -> Figure:
@@ -33,9 +50,32 @@ def rooms(scene: Scene, table: Configurations, trajectories: pd.DataFrame | None
             fontsize=9,
         )
     for start, goal in zip(np.asarray(table.start), np.asarray(table.goal), strict=True):
-        axes.plot(*np.stack([start, goal]).T, color="0.6", linewidth=0.6, linestyle=":", zorder=1)
+        way = {"linestyle": ":", "linewidth": 0.6, "color": "0.6", "shrinkA": 0, "shrinkB": 3}
+        axes.add_patch(FancyArrowPatch(start, goal, arrowstyle="-|>", mutation_scale=7, zorder=1, **way))
     _places(axes, table)
+    figure.legend(
+        handles=_legend(axes, trajectories), loc="outside lower center", ncols=3, fontsize=8, columnspacing=1
+    )
     return figure
+
+
+def _legend(axes: Axes, trajectories: pd.DataFrame | None) -> list[Artist]:
+    """An entry for each kind of thing that the map shows."""
+    radius = NavigationSettings().goal_radius
+    ring = {"marker": "o", "markersize": 9, "markerfacecolor": "none", "linestyle": ""}
+    entries: list[Artist] = [
+        Line2D([], [], color=GOAL, marker="o", markersize=5, linestyle="", label="start"),
+        Line2D([], [], color=GOAL, **ring, label=f"goal, reached within {radius:g} m"),
+        Line2D([], [], color="0.6", linestyle=":", label="from start to goal"),
+    ]
+    if trajectories is not None:
+        if (trajectories.goal == 1).any():
+            entries.append(Line2D([], [], color=PATH, label="flight that reached its goal"))
+        if (trajectories.goal != 1).any():
+            entries.append(Line2D([], [], color=FAILURES, marker="x", label="flight that ended otherwise"))
+    if any(patch.get_hatch() for patch in axes.patches):
+        entries.append(Patch(**PASSED, label="wall below or above flights"))
+    return entries
 
 
 def success(axes: Axes, scene: Scene, table: Configurations, ratios: np.ndarray) -> ScalarMappable:
@@ -67,22 +107,44 @@ def success(axes: Axes, scene: Scene, table: Configurations, ratios: np.ndarray)
 
 
 def floor_plan(axes: Axes, scene: Scene) -> None:
-    """The walls, seen from above, in metres."""
+    """The walls from above, in metres: solid what the drone can hit at its flight height.
+
+    Walls that it flies over or under are hatched; a floor or a ceiling is outlined only.
+    """
+    limits = _limits(scene)
     for lower, upper in zip(scene.wall_lower, scene.wall_upper, strict=True):
-        size = upper - lower
-        axes.add_patch(Rectangle((lower[0], lower[1]), size[0], size[1], color="0.35", linewidth=0))
-    low, high = scene.wall_lower[:, :2].min(axis=0), scene.wall_upper[:, :2].max(axis=0)
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)", aspect="equal")
+        (x, y), (right, top) = np.clip([lower[:2], upper[:2]], *limits)
+        style = _wall_style(scene, limits, lower, upper)
+        axes.add_patch(Rectangle((x, y), right - x, top - y, **style))
+    (left, bottom), (right, top) = limits
+    axes.set(xlim=(left, right), ylim=(bottom, top), xlabel="x (m)", ylabel="y (m)", aspect="equal")
+
+
+def _limits(scene: Scene) -> np.ndarray:
+    """(2, 2) m, the lower and upper corner of the map, from walls that are not without end."""
+    ends = ((scene.wall_upper - scene.wall_lower)[:, :2] <= LARGEST).all(axis=1)
+    ends |= not ends.any()
+    return np.array([scene.wall_lower[ends, :2].min(axis=0), scene.wall_upper[ends, :2].max(axis=0)])
+
+
+def _wall_style(scene: Scene, limits: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> dict[str, Any]:
+    height, radius = NavigationSettings().flight_height, scene.drone_radius
+    if lower[2] - radius <= height <= upper[2] + radius:
+        return SOLID
+    (low, high), inside = limits, np.clip([lower[:2], upper[:2]], *limits)
+    covered = np.prod(inside[1] - inside[0]) / np.prod(high - low)
+    return COVER if covered > 0.5 else PASSED
 
 
 def _places(axes: Axes, table: Configurations) -> None:
-    """Marks every place once and names the configurations that start there."""
+    """Marks every start by a dot with its configurations, and every goal by the circle to be reached."""
     starts: dict[tuple[float, float], list[int]] = {}
-    for row, (start, goal) in enumerate(zip(np.asarray(table.start), np.asarray(table.goal), strict=True)):
+    for row, start in enumerate(np.asarray(table.start)):
         starts.setdefault((float(start[0]), float(start[1])), []).append(row)
-        starts.setdefault((float(goal[0]), float(goal[1])), [])
     for place, rows in starts.items():
         axes.plot(*place, "o", color=GOAL, markersize=5)
-        if rows:
-            name = ",".join(f"c{row}" for row in rows)
-            axes.annotate(name, place, textcoords="offset points", xytext=(4, 5), fontsize=7, color=GOAL)
+        name = ",".join(f"c{row}" for row in rows)
+        axes.annotate(name, place, textcoords="offset points", xytext=(4, 5), fontsize=7, color=GOAL)
+    for x, y in np.unique(np.asarray(table.goal), axis=0):
+        radius = NavigationSettings().goal_radius
+        axes.add_patch(Circle((x, y), radius, facecolor="none", edgecolor=GOAL, linewidth=0.6, zorder=1.5))

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-WORST = 0.1  # the share of the configurations that CVaR looks at
+WORST = 0.1  # the share of the flown configurations that CVaR averages
 PATIENCE = 5  # evaluations, or iterations, in a row that count as held
 RESAMPLES = 2000
 
@@ -23,13 +23,20 @@ class Interval(NamedTuple):
 
 
 def cvar(ratios: np.ndarray) -> np.ndarray:
-    """CVaR-10 %: the mean over the worst tenth of the N configurations, to the nearest whole number.
+    """CVaR-10 %: the mean over the worst tenth of the configurations that were flown.
 
     Args:
-        ratios: (…, N) goal ratios; those that were not flown (NaN) are passed over.
+        ratios: (…, N) goal ratios, NaN where a configuration was not flown.
+
+    Returns:
+        (…) the mean of the lowest round(F / 10), at least one, of the F ratios that are numbers in a
+        row; NaN in a row that has none.
     """
-    number = max(1, round(WORST * ratios.shape[-1]))
-    return np.nanmean(np.sort(ratios, axis=-1)[..., :number], axis=-1)
+    flown = np.isfinite(ratios).sum(axis=-1)
+    number = np.maximum(1, np.rint(WORST * flown))
+    worst = np.arange(ratios.shape[-1]) < number[..., None]
+    total = np.sum(np.sort(ratios, axis=-1), axis=-1, where=worst)  # NaN sorts last
+    return total / number
 
 
 def first_held(ratios: np.ndarray, threshold: float) -> int | None:

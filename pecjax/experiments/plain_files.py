@@ -42,6 +42,11 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def exact_text(value: float) -> str:
+    """A setting with all its digits, for names and keys: the same text is the same number."""
+    return repr(float(value)).removesuffix(".0")
+
+
 def json_text(content: dict[str, Any]) -> str:
     """One JSON object, for people to read too."""
     return json.dumps(content, indent=2) + "\n"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pecjax.experiments.configuration_figure import configurations
@@ -13,14 +14,17 @@ from pecjax.experiments.drawing import (
     GOAL,
     LEARNERS,
     PATH,
+    RATIO_LIMITS,
     SMOOTHED_ITERATIONS,
     TRIALS,
     read_table,
     save,
     steps_axis,
+    whole_ticks,
 )
 from pecjax.experiments.map_figure import rooms
 from pecjax.experiments.measures import trial_and_failure_ratios
+from pecjax.experiments.plain_files import exact_text
 from pecjax.experiments.run_directory import RunDirectory
 from pecjax.world.scene import load_scene
 
@@ -41,7 +45,7 @@ def draw_run(folder: Path) -> list[Path]:
     run = RunDirectory(folder)
     settings = run.settings()
     tables = {name: read_table(folder / f"{name}.csv", columns) for name, columns in _COLUMNS.items()}
-    label = settings.sampler + (f" (α = {settings.alpha:g})" if settings.sampler == "pec" else "")
+    label = settings.sampler + (f" (α = {exact_text(settings.alpha)})" if settings.sampler == "pec" else "")
     label += f", {LEARNERS[settings.algorithm]}, coordinates {Path(settings.coordinates).name}"
     label += f", seed {settings.seed}"
     metrics, evaluation = tables["metrics"], tables["evaluation"]
@@ -62,7 +66,9 @@ def goal_ratio(metrics: pd.DataFrame, evaluation: pd.DataFrame, greedy: bool) ->
     figure = Figure((6.4, 3.8), layout="constrained")
     axes = figure.subplots()
     smooth = metrics.goal_ratio.rolling(SMOOTHED_ITERATIONS, min_periods=1).mean()
-    axes.plot(metrics.iteration, metrics.goal_ratio, color=TRIALS, linewidth=0.8)
+    axes.plot(
+        metrics.iteration, metrics.goal_ratio, color=TRIALS, linewidth=0.8, label="training, each iteration"
+    )
     axes.plot(
         metrics.iteration,
         smooth,
@@ -77,9 +83,9 @@ def goal_ratio(metrics: pd.DataFrame, evaluation: pd.DataFrame, greedy: bool) ->
         markersize=4,
         label=f"uniform evaluation, {'greedy' if greedy else 'sampled'} actions",
     )
-    axes.set(xlabel="iteration", ylabel="goal ratio", ylim=(0, 1.02), xlim=(0, metrics.iteration.max()))
+    axes.set(ylabel="goal ratio", ylim=RATIO_LIMITS, xlim=(0, 1.02 * metrics.iteration.max()))
+    _by_iteration(axes)
     axes.legend(loc="lower right", fontsize=8)
-    axes.grid(alpha=0.3)
     steps_axis(axes, metrics.env_steps.iloc[0] / metrics.iteration.iloc[0])
     return figure
 
@@ -100,9 +106,9 @@ def spread(table: pd.DataFrame) -> Figure:
             alpha=0.2,
             label="± standard deviation",
         )
-        axes.set(xlabel="iteration", ylabel=f"{name} ratio, since the beginning", ylim=(0, None))
+        axes.set(ylabel=f"{name} ratio, since the beginning", ylim=(0, None))
         axes.legend(fontsize=8)
-        axes.grid(alpha=0.3)
+        _by_iteration(axes)
     return figure
 
 
@@ -111,10 +117,16 @@ def evaluations(evaluation: pd.DataFrame, episodes: int, greedy: bool) -> Figure
     figure = Figure((8, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2)
     left.plot(evaluation.iteration, evaluation.goal_ratio, "o-", color=GOAL, markersize=4)
-    left.set(xlabel="iteration", ylabel="goal ratio", ylim=(0, 1.02))
+    left.set(ylabel="goal ratio", ylim=RATIO_LIMITS)
     right.plot(evaluation.iteration, evaluation.mean_return, "o-", color=PATH, markersize=4)
-    right.set(xlabel="iteration", ylabel="mean return")
+    right.set(ylabel="mean return")
     for axes in (left, right):
-        axes.grid(alpha=0.3)
+        _by_iteration(axes)
         axes.set_title(f"{episodes} {'greedy' if greedy else 'sampled'} episodes, uniform draw", fontsize=9)
     return figure
+
+
+def _by_iteration(axes: Axes) -> None:
+    axes.set_xlabel("iteration")
+    whole_ticks(axes)
+    axes.grid(alpha=0.3)

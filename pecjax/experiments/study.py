@@ -18,7 +18,7 @@ from pecjax.experiments.evaluation import Flights
 from pecjax.experiments.grid import Member, StudySettings
 from pecjax.experiments.interruption import Interruption
 from pecjax.experiments.measures import cvar
-from pecjax.experiments.plain_files import Row, alone, writing
+from pecjax.experiments.plain_files import Row, alone, exact_text, writing
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.study_directory import StudyDirectory, Tables, World
 from pecjax.experiments.study_program import Program, make_program
@@ -133,7 +133,10 @@ class _Rows:
     """The rows of one run, as they come."""
 
     def __init__(self, settings: StudySettings, member: Member, batch: int) -> None:
-        self._head: Row = {"study": settings.name} | member._asdict()
+        named: Row = {"study": settings.name} | member._asdict()
+        self._run = ", ".join(f"{name} {value}" for name, value in named.items() if value is not None)
+        alpha = None if member.alpha is None else exact_text(member.alpha)
+        self._head: Row = named | {"alpha": alpha}
         self._batch = batch
         self._counts: Any = 0
         self._since_evaluation: list[float] = []
@@ -141,8 +144,9 @@ class _Rows:
 
     def add_metrics(self, iteration: int, metrics: Metrics) -> None:
         if metrics.broken:
-            run = ", ".join(f"{name} {value}" for name, value in self._head.items() if value is not None)
-            raise DivergedError(f"{run}: at iteration {iteration} not finite: {', '.join(metrics.broken)}")
+            raise DivergedError(
+                f"{self._run}: at iteration {iteration} not finite: {', '.join(metrics.broken)}"
+            )
         row = tables.metrics_row(iteration, self._batch, 0.0, metrics)
         kept = ("iteration", "env_steps", "goal_ratio", "episodes", "mean_return")
         self.tables["metrics"].append(self._head | {name: row[name] for name in kept})

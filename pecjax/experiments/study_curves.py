@@ -9,9 +9,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
-from pecjax.experiments.drawing import SMOOTHED_ITERATIONS, steps_axis
+from pecjax.experiments.drawing import RATIO_LIMITS, SMOOTHED_ITERATIONS, steps_axis, whole_ticks
 from pecjax.experiments.measures import interval, trial_and_failure_ratios
 from pecjax.experiments.study_report import THRESHOLDS, StudyTables
 
@@ -24,6 +23,7 @@ STYLES = (
     ("#cc79a7", (0, (5, 1, 1, 1, 1, 1)), "v"),
     ("#56b4e9", (0, (1, 1)), "P"),
 )
+INTERVALS = "interquartile mean, 95 % interval over seeds"
 
 
 def _conditions(table: pd.DataFrame) -> Iterator[tuple[Any, pd.DataFrame, tuple]]:
@@ -43,7 +43,7 @@ def _curves(axes: Axes, table: pd.DataFrame, column: str, label: str, marks: boo
         axes.plot(by_iteration.index, found[:, 0], color=color, linestyle=dashes, label=condition, **style)
         axes.fill_between(by_iteration.index, found[:, 1], found[:, 2], color=color, alpha=0.18, linewidth=0)
     axes.set(xlabel="iteration", ylabel=label)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    whole_ticks(axes)
     axes.grid(alpha=0.3)
 
 
@@ -64,9 +64,9 @@ def goal_ratio(tables: StudyTables) -> Figure:
     _curves(right, tables.results, "goal_ratio", "", marks=True)
     right.set_title("uniform evaluation", fontsize=9)
     for axes in (left, right):
-        axes.set_ylim(0, 1.02)
+        axes.set_ylim(RATIO_LIMITS)
         steps_axis(axes, _batch(tables.metrics))
-    right.legend(title="interquartile mean, 95 % interval", fontsize=8, title_fontsize=8, loc="lower right")
+    right.legend(title=INTERVALS, fontsize=8, title_fontsize=8, loc="lower right")
     return figure
 
 
@@ -75,9 +75,12 @@ def _batch(table: pd.DataFrame) -> float:
 
 
 def _side_by_side(table: pd.DataFrame, labels: dict[str, str]) -> Figure:
-    figure = Figure((11.4, 3.6), layout="constrained")
+    figure = Figure((11.4, 4.0), layout="constrained")
     for axes, (column, label) in zip(figure.subplots(1, len(labels)), labels.items(), strict=True):
         _curves(axes, table, column, label, marks=True)
+    lines = figure.axes[0].get_legend_handles_labels()
+    place = {"loc": "outside lower center", "ncols": 5}
+    figure.legend(*lines, title=INTERVALS, fontsize=8, title_fontsize=8, **place)
     return figure
 
 
@@ -90,8 +93,7 @@ def evaluation(results: pd.DataFrame) -> Figure:
     }
     figure = _side_by_side(results, labels)
     for axes in figure.axes[:2]:
-        axes.set_ylim(0, 1.02)
-    figure.axes[0].legend(fontsize=8, loc="lower right")
+        axes.set_ylim(RATIO_LIMITS)
     return figure
 
 
@@ -114,7 +116,6 @@ def spread(table: pd.DataFrame) -> Figure:
         axes.set_ylim(0, None)
     size = table.config.max() + 1
     figure.axes[0].set_title(f"over configurations, since the beginning (mean 1/{size})", fontsize=9)
-    figure.axes[1].legend(fontsize=8)
     return figure
 
 
@@ -140,5 +141,6 @@ def exits(metrics: pd.DataFrame, runs: pd.DataFrame) -> Figure:
         axes.axhline(at, color="0.6", linewidth=0.7, linestyle=":")
     axes.set_ylim(0, 1.04)
     steps_axis(axes, batch)
-    axes.legend(title="exit: five iterations in a row held 0.90 or 0.95", fontsize=8, title_fontsize=8)
+    held = "exit: five iterations in a row held 0.90 or 0.95"
+    axes.legend(title=f"{INTERVALS};\n{held}", fontsize=8, title_fontsize=8)
     return figure

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from pecjax.errors import InputError
 from pecjax.experiments import plain_files
 from pecjax.experiments.drawing import read_table
 from pecjax.experiments.measures import (
@@ -21,6 +22,7 @@ from pecjax.experiments.measures import (
     steps_until,
     trial_and_failure_ratios,
 )
+from pecjax.experiments.study_directory import StudyDirectory
 
 THRESHOLDS = (0.9, 0.95)
 BASELINE = "uniform"  # what others are paired with; the study's first condition where it is not there
@@ -37,7 +39,7 @@ _COLUMNS = {
 
 
 class StudyTables(NamedTuple):
-    """A study's tables, each with a column `condition`: sampler and α in words."""
+    """A study's tables, each with a column `condition`: the sampler and all digits of its α."""
 
     results: pd.DataFrame
     metrics: pd.DataFrame
@@ -48,13 +50,27 @@ def read_study(folder: Path) -> StudyTables:
     """Reads the tables that a study has gathered so far.
 
     Raises:
-        InputError: there are none.
+        InputError: there are none, or two runs in them cannot be told apart.
     """
+    alphas = StudyDirectory(folder).settings().alphas
+    in_full = {float(f"{alpha:.7g}"): alpha for alpha in alphas}  # older versions wrote 7 digits
+    in_full |= {alpha: alpha for alpha in alphas}
     found = {name: read_table(folder / f"{name}.csv", columns) for name, columns in _COLUMNS.items()}
-    for table in found.values():
-        table["coordinates"] = table.coordinates.astype(str)
+    for name, table in found.items():
+        table["alpha"] = [in_full.get(alpha, alpha) for alpha in table.alpha]
         pairs = zip(table.sampler, table.alpha, strict=True)
-        table["condition"] = [s if np.isnan(alpha) else f"{s}, α = {alpha:g}" for s, alpha in pairs]
+        table["condition"] = [
+            s if np.isnan(alpha) else f"{s}, α = {plain_files.exact_text(alpha)}" for s, alpha in pairs
+        ]
+        keys = ["coordinates", "condition", "seed", "iteration", *_COLUMNS[name] & {"config"}]
+        twice = table.loc[table.duplicated(keys)]
+        if len(twice):
+            row = twice.iloc[0]
+            raise InputError(
+                f"{folder / f'{name}.csv'}: coordinates {row.coordinates}, {row.condition}, seed {row.seed} "
+                "is there twice; where two α share their first 7 digits, as older versions wrote them, "
+                "train the study again in another folder"
+            )
     return StudyTables(**found)
 
 
@@ -155,7 +171,12 @@ def write_report(folder: Path) -> str:
     """
     runs = by_run(read_study(folder))
     summaries, differences = list(summary(runs)), list(paired(runs))
-    written = {"runs": runs.to_dict("records"), "summary": summaries, "paired": differences}
+    exact = [None if np.isnan(alpha) else plain_files.exact_text(alpha) for alpha in runs.alpha]
+    written = {
+        "runs": runs.assign(alpha=exact).to_dict("records"),
+        "summary": summaries,
+        "paired": differences,
+    }
     with plain_files.writing(folder, "the same command goes on once it can"):
         for name, rows in written.items():
             plain_files.replace_file(folder / f"{name}.csv", plain_files.csv_text(rows))

@@ -1,0 +1,185 @@
+"""Figures of studies, by what is drawn: points at their numbers, and nothing at a number it has not."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+from synthetic import BATCH, study_settings, write_study
+
+from pecjax.experiments import study_curves, study_ends, study_report
+from pecjax.experiments.drawing import steps_axis
+
+INF = np.inf
+
+
+def made_runs(**steps):
+    """A row a run: the steps until 0.9 of each condition, seed by seed; 0.95 takes half as long again."""
+    rows = [
+        {"condition": condition, "seed": seed, "steps_until_0.9": at, "steps_until_0.95": 1.5 * at}
+        for condition, values in steps.items()
+        for seed, at in enumerate(values)
+    ]
+    return pd.DataFrame(rows)
+
+
+def drawn_points(axes):
+    """(K, 2) the marks of all conditions, in data coordinates."""
+    return np.concatenate([np.ma.filled(marks.get_offsets(), np.nan) for marks in axes.collections])
+
+
+def medians(axes):
+    return [line.get_ydata()[0] for line in axes.lines if line.get_color() == "black"]
+
+
+def zones(figure, axes):
+    """The shaded zones, (low, high) in data coordinates."""
+    figure.draw_without_rendering()
+    boxes = [patch.get_window_extent() for patch in axes.patches]
+    return [tuple(axes.transData.inverted().transform(box)[:, 1]) for box in boxes]
+
+
+def numbered_ticks(axes):
+    low, high = axes.get_ylim()
+    return [tick for tick in axes.get_yticks() if low <= tick <= high]
+
+
+@pytest.mark.parametrize("scale", [1e6, 1e4, 100.0])
+def test_all_runs_held_and_stand_at_their_steps(scale):
+    runs = made_runs(a=[1 * scale, 2 * scale, 4 * scale], b=[3 * scale, 3 * scale, 5 * scale])
+    figure = study_ends.steps_to_threshold(runs)
+    for axes, longer in zip(figure.axes, (1, 1.5), strict=True):
+        unit = {"(millions)": 1e6, "(thousands)": 1e3}.get(figure.axes[0].get_ylabel().split()[2][:-1], 1)
+        numbers = longer * scale / unit * np.array([1, 2, 4, 3, 3, 5])
+        np.testing.assert_allclose(drawn_points(axes)[:, 1], numbers)
+        assert numbers.max() < axes.get_ylim()[1]
+        np.testing.assert_allclose(medians(axes), longer * scale / unit * np.array([2, 3]))
+        assert not axes.patches and not [text for text in axes.texts if "not" in text.get_text()]
+
+
+def test_runs_that_never_held_lie_in_a_zone_beyond_the_axis():
+    runs = made_runs(a=[1e6, 2e6, INF], b=[INF, INF, 3e6], c=[2e6, INF], d=[INF, INF, INF])
+    figure = study_ends.steps_to_threshold(runs)
+    for axes, longer in zip(figure.axes, (1, 1.5), strict=True):
+        ((low, high),) = zones(figure, axes)
+        points = drawn_points(axes)
+        shown = [points[points[:, 0] == place, 1] for place in range(4)]
+        held = np.array([1, 2, 3, 2]) * longer
+        numbers = np.concatenate(shown)[[0, 1, 5, 6]]
+        np.testing.assert_allclose(numbers, held)
+        never = [y for y in points[np.isfinite(points[:, 1]), 1] if not np.isclose(y, held[:, None]).any()]
+        assert len(never) == 1 + 2 + 1 + 3 and all(low < y < high for y in never)
+        assert numbered_ticks(axes) and max(numbered_ticks(axes)) <= low  # no number within the zone
+        assert max(held) < low
+        assert medians(axes) == [2 * longer]  # of b, c and d the median run never held it
+        assert [text.get_text() for text in axes.texts] == [
+            "1 of 3",
+            "2 of 3",
+            "1 of 2",
+            "3 of 3",
+            "not reached",
+        ]
+        assert axes.spines["left"].get_bounds() == (0, pytest.approx(low))
+
+
+def test_where_no_run_held_no_scale_is_made_up():
+    figure = study_ends.steps_to_threshold(made_runs(a=[INF, INF], b=[INF, INF]))
+    for axes in figure.axes:
+        ((low, high),) = zones(figure, axes)
+        points = drawn_points(axes)
+        assert len(points) == 4 and (low < points[:, 1]).all() and (points[:, 1] < high).all()
+        assert numbered_ticks(axes) == [] and medians(axes) == []
+        assert not axes.get_ylabel()
+
+
+def test_a_threshold_that_no_run_held_beside_one_that_some_did():
+    runs = made_runs(a=[1e6, 2e6], b=[1e6, 1e6])
+    figure = study_ends.steps_to_threshold(runs.assign(**{"steps_until_0.95": INF}))
+    left, right = figure.axes
+    np.testing.assert_allclose(drawn_points(left)[:, 1], [1, 2, 1, 1])
+    for axes in (left, right):
+        ((low, _),) = zones(figure, axes)
+        assert low > 2 and max(numbered_ticks(axes)) <= low
+    assert (drawn_points(right)[:, 1] > low).all() and not medians(right)
+
+
+def test_a_run_that_is_not_there_is_not_drawn():
+    runs = made_runs(a=[1e6, 2e6, 3e6], b=[INF])
+    axes = study_ends.steps_to_threshold(runs).axes[0]
+    points = drawn_points(axes)
+    assert np.isfinite(points[:, 1]).sum() == 4
+    assert [text.get_text() for text in axes.texts] == ["1 of 1", "not reached"]
+
+
+def test_exits_are_drawn_of_runs_that_had_one():
+    iterations = np.arange(1, 41)
+    metrics = pd.concat(
+        [
+            pd.DataFrame(
+                {"iteration": iterations, "env_steps": iterations * BATCH, "goal_ratio": iterations / 40}
+            ).assign(condition=condition, seed=seed)
+            for condition in ("a", "b")
+            for seed in (0, 1)
+        ]
+    )
+    runs = pd.DataFrame(
+        {
+            "condition": ["a", "a", "b", "b"],
+            "exit_at_0.9": np.array([30, INF, INF, INF]) * BATCH,
+            "exit_at_0.95": np.array([38, INF, INF, INF]) * BATCH,
+        }
+    )
+    (axes,) = study_curves.exits(metrics, runs).axes
+    marks = [m for m in axes.collections if len(m.get_offsets()) and m.get_sizes().size]
+    at = np.concatenate([np.ma.filled(m.get_offsets(), np.nan) for m in marks])
+    np.testing.assert_allclose(sorted(at[np.isfinite(at[:, 0]), 0]), [30, 38])
+    assert axes.get_xlim()[1] < 60
+    labels = axes.get_legend_handles_labels()[1]
+    assert "a: exit (1 and 1 of 2 runs)" in labels and "b: exit (0 and 0 of 2 runs)" in labels
+
+
+@pytest.fixture(scope="module", params=[0.0, 1.0])
+def all_alike(request, tmp_path_factory):
+    """A study whose runs all fail, and one whose runs all succeed."""
+    folder = tmp_path_factory.mktemp("alike") / "study"
+    write_study(folder, study_settings((0.0, 0.2)), lambda member, progress: request.param)
+    return study_report.read_study(folder)
+
+
+def test_axes_of_ratios_show_ratios(all_alike):
+    runs = study_report.by_run(all_alike)
+    for axes in study_ends.alphas(runs).axes:
+        low, high = axes.get_ylim()
+        assert -0.05 <= low <= 0 and 0.1 <= high <= 1.05
+    for axes in study_curves.evaluation(all_alike.results).axes[:2]:
+        low, high = axes.get_ylim()
+        assert low < 0 and high > 1  # marks at 0 and 1 are whole
+
+
+def test_legends_say_what_bands_and_bars_are(all_alike):
+    runs = study_report.by_run(all_alike)
+    figures = [
+        study_curves.goal_ratio(all_alike),
+        study_curves.evaluation(all_alike.results),
+        study_curves.spread(all_alike.configurations),
+        study_curves.exits(all_alike.metrics, runs),
+        study_ends.alphas(runs),
+    ]
+    for figure in figures:
+        own = [axes.get_legend() for axes in figure.axes]
+        legends = [legend for legend in (*own, *figure.legends) if legend is not None]
+        assert legends
+        assert all("interquartile mean, 95 % interval" in legend.get_title().get_text() for legend in legends)
+
+
+@pytest.mark.parametrize(
+    ("batch", "unit", "label"), [(16_384, 1e6, "(millions)"), (512, 1e3, "(thousands)"), (16, 1, "steps")]
+)
+def test_steps_have_short_ticks(batch, unit, label):
+    axes = Figure().subplots()
+    axes.set_xlim(0, 100)
+    steps_axis(axes, batch)
+    (above,) = axes.child_axes
+    axes.figure.draw_without_rendering()
+    assert above.get_xlim() == pytest.approx((0, 100 * batch / unit))
+    assert above.get_xlabel().endswith(label)
+    assert all(len(tick.get_text()) <= 4 for tick in above.get_xticklabels())

@@ -1,0 +1,103 @@
+"""Reports of studies that nobody trained: what belongs to one condition, whatever its α and its place."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+from synthetic import made_metrics, study_settings, write_study
+
+import pecjax
+from pecjax.experiments import study_figures, study_report
+from pecjax.experiments.evaluation import Flights
+from pecjax.experiments.study import _Rows
+from pecjax.experiments.study_directory import StudyDirectory
+
+# 0.2 and its neighbours among doubles and floats, and α in all the ways that Python writes one.
+ALPHAS = (0.2, 0.2000001, 0.20000001, 0.20000000000000004, 0.1 + 0.2, 1e-9, 3.0, 12345678.9, 1e22)
+
+
+def by_alpha(member, progress):
+    return progress if member.alpha is None else ALPHAS.index(member.alpha) / len(ALPHAS)
+
+
+@pytest.fixture(scope="module")
+def near_alphas(tmp_path_factory):
+    settings = study_settings(ALPHAS, seeds=(4, 7))
+    return write_study(tmp_path_factory.mktemp("near") / "study", settings, by_alpha)
+
+
+def test_every_alpha_is_a_condition_of_its_own(near_alphas):
+    tables = study_report.read_study(near_alphas)
+    assert tuple(dict.fromkeys(tables.results.alpha.dropna())) == ALPHAS  # to the last digit
+    for table in tables:
+        assert table.groupby("condition").ngroups == len(ALPHAS) + 1
+    runs = study_report.by_run(tables)
+    assert len(runs) == 2 * (len(ALPHAS) + 1)
+    assert set(runs.condition) >= {"pec, α = 0.2", "pec, α = 0.2000001", "pec, α = 3", "uniform"}
+    study_report.write_report(near_alphas)
+    written = pd.read_csv(near_alphas / "runs.csv", dtype={"alpha": str})
+    assert tuple(map(float, dict.fromkeys(written.alpha.dropna()))) == ALPHAS
+    assert len(pd.read_csv(near_alphas / "summary.csv")) == len(ALPHAS) + 1
+
+
+def test_no_figure_of_a_condition_takes_anothers_place(near_alphas, monkeypatch):
+    drawn = []
+    parts = ("goal_ratio", "evaluation", "spread", "exits", "steps_to_threshold", "maps", "alphas")
+    for part in (*parts, "configurations"):  # only their names matter
+        monkeypatch.setattr(study_figures, part, lambda *_: Figure())
+    monkeypatch.setattr(study_figures, "save", lambda figure, path: drawn.append(path) or [path])
+    study_figures.draw_study(near_alphas)
+    assert len(drawn) == len(set(drawn))
+    stems = {path.name for path in drawn if path.name.startswith("configurations-")}
+    assert len(stems) == len(ALPHAS) + 1
+    assert {"configurations-pec-0.2", "configurations-pec-0.2000001", "configurations-pec-3"} <= stems
+
+
+def test_coordinates_are_told_apart_by_their_text(tmp_path):
+    for name in ("1", "01"):
+        (tmp_path / name).write_text("0 -2 0.7 -2\n5 -2.4 5 -3.2\n")
+    settings = study_settings(coordinates=("1", "01"), seeds=(0,))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.chdir(tmp_path)
+        write_study(tmp_path / "study", settings, lambda member, progress: progress)
+    tables = study_report.read_study(tmp_path / "study")
+    assert set(tables.results.coordinates) == {"1", "01"}
+    assert len(study_report.by_run(tables)) == 4
+
+
+def test_what_was_written_with_seven_digits_goes_on_under_the_same_name(tmp_path):
+    settings = study_settings((1 / 3, 1.0), seeds=(4, 7))
+    folder = write_study(tmp_path / "study", settings, lambda member, progress: 0.5)
+    for name in StudyDirectory.TABLES:
+        path = folder / f"{name}.csv"
+        text = path.read_text()
+        assert ",0.3333333333333333,4," in text
+        path.write_text(text.replace(",0.3333333333333333,4,", ",0.3333333,4,"))  # the first seed's run
+    tables = study_report.read_study(folder)
+    assert set(tables.results.condition) == {"pec, α = 0.3333333333333333", "pec, α = 1", "uniform"}
+    assert study_report.by_run(tables).groupby("condition").seed.nunique().eq(2).all()
+
+
+def test_two_runs_of_one_name_are_refused_in_one_line(near_alphas, tmp_path):
+    """A study written with seven digits of α may hold two that read alike."""
+    folder = write_study(tmp_path / "study", study_settings((0.2, 0.25), seeds=(4,)), lambda m, p: p)
+    for name in StudyDirectory.TABLES:
+        path = folder / f"{name}.csv"
+        path.write_text(path.read_text().replace("pec,0.25,", "pec,0.2,"))
+    with pytest.raises(pecjax.InputError, match=r"results\.csv: .* pec, α = 0\.2, seed 4 .* twice") as error:
+        study_report.read_study(folder)
+    assert "\n" not in str(error.value)
+
+
+def test_the_worst_tenth_of_an_evaluation_is_of_what_it_flew():
+    settings = study_settings()
+    rows = _Rows(settings, settings.slices()[0][0], batch=100)
+    rows.add_metrics(1, made_metrics(size=200, ratio=0.5))
+    reached = np.random.default_rng(0).random(20) < 0.7
+    # 20 episodes for 200 configurations: the 20 that are flown have their worst two.
+    rows.add_evaluation(
+        1, Flights(np.arange(20) * 7, reached, 1.0 * reached, np.ones(20), np.zeros((20, 2, 2)))
+    )
+    (row,) = rows.tables["results"]
+    assert row["cvar"] == np.sort(reached)[:2].mean() == 0
+    assert row["goal_ratio"] == reached.mean()
