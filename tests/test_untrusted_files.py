@@ -4,6 +4,7 @@ import time
 from pathlib import Path
 
 import fuzz
+import mujoco
 import pytest
 
 import pecjax
@@ -58,6 +59,108 @@ def test_includes_inside_the_folder_are_followed_and_looked_through(edited_rooms
     (tmp_path / "more.xml").unlink()
     with pytest.raises(pecjax.InputError, match=r"includes .*more\.xml: not XML"):
         load_scene(path)
+
+
+@pytest.mark.parametrize(
+    "piece",
+    [
+        '<asset><model name="m" file="sub.xml"/></asset><worldbody>',
+        '<worldbody><attach model="m" body="b" prefix="p"/>',
+        '<worldbody><attach body="drone" prefix="p"/>',  # of the map itself, and so once more within it
+        '<worldbody><body><composite type="cable" count="4096 4096 4096" size="1"/></body>',
+        '<worldbody><flexcomp name="f" type="grid" count="4096 4096 4096" dim="3"/>',
+        '<deformable><flex name="f" dim="1"/></deformable><worldbody>',
+        '<extension><plugin plugin="mujoco.sdf.bolt"/></extension><worldbody>',
+        '<compiler><lengthrange mode="all" inttotal="1e9"/></compiler><worldbody>',
+        '<sensor><rangefinder camera="depth"/></sensor><worldbody>',
+        '<sensor><tactile geom="g" mesh="m"/></sensor><worldbody>',
+    ],
+)
+def test_what_makes_much_of_little_is_refused_before_mujoco_reads_it(
+    piece, edited_rooms, tmp_path, monkeypatch
+):
+    path = tmp_path / "map.xml"
+    path.write_text(edited_rooms(("<worldbody>", piece)).read_text())
+    (tmp_path / "sub.xml").write_text('<mujoco><include file="../secret.xml"/></mujoco>')
+    monkeypatch.setattr(mujoco.MjSpec, "from_file", None)
+    with pytest.raises(pecjax.InputError, match=r"map\.xml, line \d+: <\w+.*> is not read; \w+"):
+        load_scene(path)
+
+
+def assets(count, piece):
+    return "<asset>" + "".join(piece.format(number) for number in range(count)) + "</asset><worldbody>"
+
+
+@pytest.mark.parametrize(
+    ("piece", "words"),
+    [
+        (
+            '<worldbody><replicate count="400"><replicate count="400" offset="1 0 0"><geom size="1"/>'
+            "</replicate></replicate>",
+            "line 31: here the map exceeds 10,000 elements",
+        ),
+        (
+            '<worldbody><replicate count="400"><include file="sub.xml"/></replicate>',
+            r"sub\.xml, line 1: here the map exceeds 10,000 elements",
+        ),
+        (
+            '<worldbody><replicate count="100"><body><replicate count="50"><body/></replicate></body>'
+            "</replicate>",
+            "4,096 bodies",
+        ),
+        (
+            assets(20, '<texture name="t{}" builtin="flat" width="4096" height="4096"/>'),
+            "would take 6,040 MB",
+        ),
+        (
+            '<default><texture width="4096" height="4096"/></default>'
+            + assets(20, '<texture name="t{}" builtin="flat"/>'),
+            "would take 6,040 MB",
+        ),
+        (
+            assets(9, '<hfield name="h{}" nrow="4096" ncol="4096" size="1 1 1 1"/>'),
+            "would take 604 MB",
+        ),
+        (
+            '<asset><mesh name="m" builtin="plate" params="1000 1000"/></asset><worldbody>',
+            "would take 4,096 MB",
+        ),
+        ('<size nuser_geom="4096"/><worldbody>', "256 is the most"),
+        ('<worldbody><replicate count="0x7fffffff"/>', "no number"),
+        ('<worldbody><replicate count="nan"/>', "no number"),
+    ],
+)
+def test_amounts_are_added_up_before_mujoco_reads_the_map(piece, words, edited_rooms, tmp_path, monkeypatch):
+    path = tmp_path / "map.xml"
+    path.write_text(edited_rooms(("<worldbody>", piece)).read_text())
+    wall = '<replicate count="400" offset="1 0 0"><geom size="1"/></replicate>'
+    (tmp_path / "sub.xml").write_text(f"<mujocoinclude>{wall}</mujocoinclude>")
+    monkeypatch.setattr(mujoco.MjSpec, "from_file", None)
+    with pytest.raises(pecjax.InputError, match=words):
+        load_scene(path)
+
+
+def test_what_a_map_may_need_is_within_the_bounds(edited_rooms):
+    """Generated textures and walls, as MuJoCo's own examples have them."""
+    texture = '<texture name="t" type="2d" builtin="checker" width="512" height="512"/>'
+    sky = '<texture type="skybox" builtin="gradient" width="512" height="3072"/>'
+    walls = (
+        '<replicate count="20" offset="0 0.8 0"><geom type="box" size="0.1 0.1 1" pos="-9 -8 1"/></replicate>'
+    )
+    piece = f"<asset>{texture}{sky}</asset><worldbody>{walls}"
+    assert len(load_scene(edited_rooms(("<worldbody>", piece))).wall_names) == 34
+
+
+def test_a_map_that_is_a_link_includes_what_lies_beside_the_link(edited_rooms, tmp_path):
+    """As MuJoCo does; what lies beside the linked file is another folder's."""
+    (tmp_path / "home").mkdir()
+    text = edited_rooms(("<worldbody>", '<include file="more.xml"/><worldbody>')).read_text()
+    (tmp_path / "map.xml").write_text(text)
+    (tmp_path / "more.xml").write_text("<mujocoinclude/>")
+    (tmp_path / "home" / "map.xml").symlink_to(tmp_path / "map.xml")
+    (tmp_path / "home" / "more.xml").write_text('<mujocoinclude><size memory="900G"/></mujocoinclude>')
+    with pytest.raises(pecjax.InputError, match="memory"):
+        load_scene(tmp_path / "home" / "map.xml")
 
 
 def test_a_map_that_includes_itself(edited_rooms, tmp_path):
