@@ -1,13 +1,18 @@
 """Files from anyone: refused in one line or bounded, never obeyed."""
 
 import time
+import tracemalloc
+import zipfile
 from pathlib import Path
 
 import fuzz
+import jax
 import mujoco
+import numpy as np
 import pytest
 
 import pecjax
+from pecjax.experiments.array_files import BrokenFileError, read_arrays, write_arrays
 from pecjax.world import load_scene
 
 BOMB = """<!DOCTYPE lolz [<!ENTITY a "lol"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">
@@ -215,6 +220,55 @@ def test_a_control_period_of_a_hundred_million_steps(edited_rooms):
     scene = load_scene(edited_rooms(('timestep="0.02"', 'timestep="1e-9"')))
     with pytest.raises(pecjax.InputError, match="timestep"):
         pecjax.RoomsNavigation(scene)
+
+
+WANTED = {"w": np.ones((3, 2), np.float32)}
+LARGE = np.zeros(2**23)  # 64 MB
+
+
+@pytest.mark.parametrize(
+    ("save", "arrays", "error", "words"),
+    [
+        (np.savez_compressed, {"['w']": LARGE}, BrokenFileError, "'\\['w'\\].npy' is no plain array"),
+        (np.savez, {"['w']": LARGE}, pecjax.InputError, "differs in \\['w'\\]"),
+        (np.savez, {"['w']": WANTED["w"], "more": LARGE}, pecjax.InputError, "differs in more"),
+        (np.savez, {"['w']": WANTED["w"], "about": LARGE}, BrokenFileError, "is no text"),
+        (np.savez, {"['w']": np.array([{}])}, BrokenFileError, "is no array of"),
+        (np.savez, {}, pecjax.InputError, "differs in \\['w'\\]"),
+    ],
+)
+def test_arrays_are_read_only_once_their_headers_are_as_wanted(save, arrays, error, words, tmp_path):
+    save(tmp_path / "1.npz", **arrays)
+    tracemalloc.start()
+    try:
+        with pytest.raises(error, match=words):
+            read_arrays(tmp_path / "1.npz", WANTED)
+        assert tracemalloc.get_traced_memory()[1] < 2**23
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_header_that_promises_more_than_the_file_holds(tmp_path):
+    path = tmp_path / "1.npz"
+    write_arrays(path, WANTED)
+    with zipfile.ZipFile(path, "w") as file:
+        text = "{'descr': '<f4', 'fortran_order': False, 'shape': (999999999, 99), }".ljust(117) + "\n"
+        file.writestr("['w'].npy", b"\x93NUMPY\x01\x00\x76\x00" + text.encode() + b"\0" * 24)
+    with pytest.raises(BrokenFileError, match="is no array of"):
+        read_arrays(path, {"w": jax.ShapeDtypeStruct((999999999, 99), np.float32)})
+
+
+def test_a_changed_header_makes_a_file_corrupt_and_not_anothers(tmp_path):
+    """So that a training falls back to the checkpoint before."""
+    path = tmp_path / "1.npz"
+    write_arrays(path, WANTED, {"seed": 1})
+    content = path.read_bytes()
+    for old, new in ((b"(3, 2)", b"(2, 3)"), (b'"seed": 1', b'"seed": 2')):
+        path.write_bytes(content.replace(old, new))
+        with pytest.raises(BrokenFileError):
+            read_arrays(path, WANTED, {"seed": 1})
+    path.write_bytes(content)
+    np.testing.assert_array_equal(read_arrays(path, WANTED, {"seed": 1})["w"], WANTED["w"])
 
 
 def test_some_hundreds_of_broken_files(tmp_path: Path):
