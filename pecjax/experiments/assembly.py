@@ -16,7 +16,7 @@ from pecjax.experiments import evaluation
 from pecjax.experiments.devices import check_memory
 from pecjax.experiments.presets import SAMPLERS, RunSettings
 from pecjax.world.coordinates import Configurations, check_coordinates, load_coordinates
-from pecjax.world.navigation import NavigationSettings, RoomsNavigation
+from pecjax.world.navigation import RoomsNavigation
 from pecjax.world.scene import Scene, default_scene_path, load_scene
 
 
@@ -31,15 +31,19 @@ class Run(NamedTuple):
 
 
 def load_world(settings: RunSettings) -> tuple[Path, Scene, Configurations]:
-    """The map's file, the map and the coordinates, checked against one another.
+    """The map's file, the map and the coordinates, checked against one another and the task.
+
+    `pecjax check`, trainings and studies all read their world here, and so agree about it.
 
     Raises:
-        InputError: a file that is not there or is wrong, or pairs that cannot be flown.
+        InputError: a file that is not there or is wrong, a timestep that does not fit, or pairs that
+            cannot be flown.
     """
     scene_path = Path(settings.scene) if settings.scene is not None else default_scene_path()
     table = load_coordinates(settings.coordinates)
     scene = load_scene(scene_path, settings.resolution)
-    check_coordinates(scene, table, flight_height=NavigationSettings().flight_height)
+    flight_height = RoomsNavigation(scene, table).settings.flight_height
+    check_coordinates(scene, table, flight_height=flight_height, source=settings.coordinates)
     return scene_path, scene, table
 
 

@@ -22,6 +22,7 @@ from pecjax.experiments.plain_files import Row, alone, writing
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.study_directory import StudyDirectory, Tables, World
 from pecjax.experiments.study_program import Program, make_program
+from pecjax.world.notices import world_notices
 
 
 def run_study(settings: StudySettings, folder: Path) -> None:
@@ -59,6 +60,8 @@ def _make_slices(
     interruption: Interruption,
 ) -> None:
     slices = settings.slices()
+    for line in dict.fromkeys(line for _, *world in worlds.values() for line in world_notices(*world)):
+        progress.say(f"notice: {line}")
     for line in directory.verify(len(slices)):
         progress.say(line)
     programs: dict[tuple[str, str, int], Program] = {}
