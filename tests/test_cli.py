@@ -151,11 +151,11 @@ SCENES = {
     "no camera": ((CAMERA, ""), "no camera on the body 'drone'"),
     "a round wall": (
         ('name="west_b"', 'name="west_b" type="cylinder"'),
-        "geom 'west_b' collides and is a cylinder",
+        "'west_b' collides and is a cylinder",
     ),
     "a turned wall": (
         ('name="north_b"', 'name="north_b" euler="0 0 0.3"'),
-        "geom 'north_b' collides and is turned",
+        "'north_b' collides and is turned",
     ),
 }
 

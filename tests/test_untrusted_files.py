@@ -1,5 +1,8 @@
 """Files from anyone: refused in one line or bounded, never obeyed."""
 
+import dataclasses
+import functools
+import json
 import time
 import tracemalloc
 import zipfile
@@ -12,7 +15,10 @@ import numpy as np
 import pytest
 
 import pecjax
+from pecjax.cli import main
+from pecjax.experiments import assembly, devices
 from pecjax.experiments.array_files import BrokenFileError, read_arrays, write_arrays
+from pecjax.experiments.presets import PRESETS
 from pecjax.world import load_scene
 
 BOMB = """<!DOCTYPE lolz [<!ENTITY a "lol"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">
@@ -220,6 +226,53 @@ def test_a_control_period_of_a_hundred_million_steps(edited_rooms):
     scene = load_scene(edited_rooms(('timestep="0.02"', 'timestep="1e-9"')))
     with pytest.raises(pecjax.InputError, match="timestep"):
         pecjax.RoomsNavigation(scene)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("resolution", [40000, 40000], "resolution is 40000×40000; 1 to 1,048,576 pixels"),
+        ("resolution", [0, 5], "resolution is 0×5"),
+        ("resolution", [10**12, 1], "resolution is 1000000000000"),
+        ("ppo.num_envs", 2**30, "num-envs is 1073741824; 1,048,576 is the most"),
+        ("ppo.num_steps", 10**15, "num-steps is 1000000000000000"),
+        ("ppo.num_steps", 2**20, "more than 268,435,456 steps an iteration"),
+        ("ppo.network.hidden", [64, 10**6], "hidden is 1000000; 16,384 is the most"),
+        ("ppo.network.hidden", [64, -1], "at least 1 wide"),
+        ("ppo.network.hidden", [64] * 1000, "1000 layers"),
+        ("apex.network.head", 10**6, "head is 1000000"),
+        ("apex.replay.capacity", 2**40, "capacity is 1099511627776"),
+        ("apex.batch_size", 2**40, "batch-size is 1099511627776"),
+        ("apex.target_period", 2**31, "target-period is 2147483648"),
+        ("apex.replay_ratio", float("inf"), "replay-ratio is inf; it must be finite"),
+        ("evaluation_episodes", 10**6, "evaluation-episodes is 1000000; 100,000 is the most"),
+        ("iterations", 10**20, "iterations is 100000000000000000000; 2,147,483,647 is the most"),
+        ("configurations_every", 0, "configurations-every is 0"),
+    ],
+)
+def test_absurd_settings_of_a_strangers_run_are_refused(path, value, words, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(devices, "use_all_cores", lambda: None)
+    monkeypatch.setattr(devices, "keep_compiled_programs", lambda *_: None)
+    run = fuzz.sample_run(tmp_path / "run")
+    config = json.loads((run / "config.json").read_text())
+    *parents, name = ("settings." + path).split(".")
+    functools.reduce(dict.__getitem__, parents, config)[name] = value
+    (run / "config.json").write_text(json.dumps(config))
+    for command in (["eval", run], ["train", "--resume", "--out", run]):
+        if name == "evaluation_episodes" and command[0] == "eval":
+            command += ["--episodes", value]
+        assert main([str(word) for word in command]) == 2
+        out, err = capsys.readouterr()
+        assert words in err and err.count("\n") == 1 and out == ""
+
+
+def test_images_that_no_memory_holds_are_refused(scene):
+    """Each number may be had, and all of them together may not."""
+    many = dataclasses.replace(PRESETS["fast"], resolution=(1024, 1024))
+    many = dataclasses.replace(many, ppo=dataclasses.replace(many.ppo, num_envs=2**17))
+    large = pecjax.load_scene(resolution=many.resolution)
+    with pytest.raises(pecjax.InputError, match=r"the depth images of an iteration take 17592\.2 GB"):
+        assembly.build(many, large, pecjax.COORDINATE_SET_1, 1)
 
 
 WANTED = {"w": np.ones((3, 2), np.float32)}

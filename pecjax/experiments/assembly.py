@@ -13,8 +13,9 @@ from pecjax.agents import apex, ppo
 from pecjax.agents.agent import AXIS, Agent, TrainState, fleet_mesh, placement, shard
 from pecjax.curriculum import Sampler
 from pecjax.experiments import evaluation
+from pecjax.experiments.amounts import image_bytes
 from pecjax.experiments.devices import check_memory
-from pecjax.experiments.presets import SAMPLERS, RunSettings
+from pecjax.experiments.presets import SAMPLERS, RunSettings, check_settings
 from pecjax.world.coordinates import Configurations, check_coordinates, load_coordinates
 from pecjax.world.navigation import RoomsNavigation
 from pecjax.world.scene import Scene, default_scene_path, load_scene
@@ -68,9 +69,13 @@ def build(settings: RunSettings, scene: Scene, table: Configurations, num_device
     """Puts world, curriculum and learner together, spread over devices.
 
     Raises:
-        InputError: settings that do not fit one another, or a replay that memory cannot hold.
+        InputError: settings that are absurd or do not fit one another, or images or a replay that
+            memory cannot hold.
     """
+    check_settings(settings)
     env = RoomsNavigation(scene, table)
+    images = image_bytes(settings, *env.observation_size["depth"])
+    check_memory(images, num_devices, "the depth images of an iteration take")
     sampler = SAMPLERS[settings.sampler](table.size, settings.alpha)
     mesh = fleet_mesh(num_devices)
     agent = make_agent(settings, env, table, sampler, AXIS)
@@ -89,7 +94,13 @@ def abstract_state(run: Run) -> TrainState:
 
 
 def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable[[Any], evaluation.Flights]:
-    """The run's evaluation as a compiled program, learner -> flights."""
+    """The run's evaluation as a compiled program, learner -> flights.
+
+    Raises:
+        InputError: more episodes than memory holds the images of.
+    """
+    images = image_bytes(settings, *run.env.observation_size["depth"], settings.evaluation_episodes)
+    check_memory(images, run.mesh.devices.size, "the depth images of an evaluation take")
     return evaluation.make_evaluator(
         run.env,
         run.table,

@@ -13,6 +13,7 @@ from mujoco import mjx
 
 from pecjax.errors import InputError
 from pecjax.world.drone import (
+    MAX_PIXELS,
     Camera,
     Rotors,
     check_joints,
@@ -106,6 +107,8 @@ def load_scene(path: str | Path | None = None, resolution: tuple[int, int] | Non
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     model.opt.disableflags |= _DISABLED
     if resolution is not None:
+        if not all(0 < pixels <= MAX_PIXELS for pixels in resolution):
+            raise InputError(f"resolution is {resolution}; give a width and a height in pixels")
         model.cam_resolution[:] = resolution
     wall_lower, wall_upper, wall_names = _walls(map_file, drone)
     radius, inertia = read_radius(map_file, drone), read_inertia(map_file, drone)
