@@ -184,7 +184,14 @@ HULL_MESH = '<geom class="visual" name="hull" type="mesh" mesh="hat"/>'
 WALL = 'name="north_b" pos="-3 1 1.25" size="1.3 0.1 1.25"'
 BALL = 'type="sphere" size="0.25"'
 BAD_MAPS = {
-    "MuJoCo refuses it": ([('type="ellipsoid"', 'type="egg"')], "MuJoCo cannot compile"),
+    "MuJoCo refuses it": (
+        [('type="ellipsoid"', 'type="egg"')],
+        "MuJoCo cannot compile it: XML Error: invalid keyword: 'egg' Element 'geom', line 67",
+    ),
+    "MuJoCo refuses a size": (
+        [('pos="-10 -1 1.25" size="0.1', 'pos="-10 -1 1.25" size="0')],
+        "Element name 'outer_west', id 0, line 35",
+    ),
     "no drone": ([('<body name="drone"', '<body name="bird"')], "no body named 'drone'"),
     "no camera": ([CAMERA], "no camera"),
     "a wall is a sphere": (
