@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from pecjax.errors import InputError
-from pecjax.world.drone import MAX_PIXELS
+from pecjax.world.drone import MAX_PIXELS, Camera
 
 MAX_EPISODES = 100_000  # of one evaluation: each keeps its whole path
 MAX_INT = 2**31 - 1  # what a device's integers hold
@@ -63,11 +63,11 @@ def check_amounts(settings: Any) -> None:
             raise InputError(f"resolution is {width}×{height}; 1 to {MAX_PIXELS:,} pixels are possible")
 
 
-def image_bytes(settings: Any, height: int, width: int, episodes: int = 0) -> int:
+def image_bytes(settings: Any, camera: Camera, episodes: int = 0) -> int:
     """What the depth images take that are held at once: a batch's, or those of so many episodes."""
     learner = settings.learner
     rows = learner.fragment if settings.algorithm == "apex" else learner.num_steps
-    return 4 * height * width * (episodes or learner.num_envs * rows)
+    return 4 * camera.height * camera.width * (episodes or learner.num_envs * rows)
 
 
 def _numbers(settings: Any) -> Iterator[tuple[str, int | float]]:

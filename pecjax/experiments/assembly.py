@@ -74,7 +74,7 @@ def build(settings: RunSettings, scene: Scene, table: Configurations, num_device
     """
     check_settings(settings)
     env = RoomsNavigation(scene, table)
-    images = image_bytes(settings, *env.observation_size["depth"])
+    images = image_bytes(settings, scene.camera)
     check_memory(images, num_devices, "the depth images of an iteration take")
     sampler = SAMPLERS[settings.sampler](table.size, settings.alpha)
     mesh = fleet_mesh(num_devices)
@@ -99,7 +99,7 @@ def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable
     Raises:
         InputError: more episodes than memory holds the images of.
     """
-    images = image_bytes(settings, *run.env.observation_size["depth"], settings.evaluation_episodes)
+    images = image_bytes(settings, run.env.scene.camera, settings.evaluation_episodes)
     check_memory(images, run.mesh.devices.size, "the depth images of an evaluation take")
     return evaluation.make_evaluator(
         run.env,

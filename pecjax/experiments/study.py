@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import time
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,8 @@ def _make_slices(
     interruption: Interruption,
 ) -> None:
     slices = settings.slices()
-    for line in dict.fromkeys(line for _, *world in worlds.values() for line in world_notices(*world)):
+    notices = [world_notices(scene, table) for _, scene, table in worlds.values()]
+    for line in dict.fromkeys(itertools.chain(*notices)):
         progress.say(f"notice: {line}")
     for line in directory.verify(len(slices)):
         progress.say(line)
