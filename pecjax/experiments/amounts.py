@@ -22,7 +22,7 @@ MOST = {
     "fragment": 2**16,
     "n_step": 2**12,
     "batch_size": 2**24,
-    "capacity": 2**28,
+    "capacity": 2**36,  # more than memory holds, which `devices.check_memory` knows
     "hidden": 2**14,
     "trunk": 2**14,
     "head": 2**14,
