@@ -1,11 +1,12 @@
 """Fixtures shared by the tests: scenes, an environment, and maps made by editing the shipped one."""
 
 import jax
+import numpy as np
 import pytest
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 import pecjax
-from pecjax.world.scene import default_scene_path
+from pecjax.world.scene import ENDLESS, default_scene_path
 
 # The tests of several devices need four, and CPUs can pretend to be. JAX has not started yet: importing
 # pecjax does not (`test_architecture.py`).
@@ -72,6 +73,27 @@ def other_map(tmp_path_factory):
 @pytest.fixture(scope="session")
 def other_scene(other_map):
     return pecjax.load_scene(other_map)
+
+
+@pytest.fixture(scope="session")
+def plane_scene(tmp_path_factory):
+    """The other map with a plane for its floor, and one for its west wall."""
+    boxes = OTHER_MAP
+    for name, plane in (("floor", 'pos="1 0 0"'), ("west", 'pos="-3.85 0 0" zaxis="1 0 0"')):
+        start = boxes.index(f'<geom name="{name}"')
+        box = boxes[start : boxes.index("/>", start)]
+        boxes = boxes.replace(box, f'<geom name="{name}" type="plane" size="0 0 1" {plane}')
+    path = tmp_path_factory.mktemp("maps") / "planes.xml"
+    path.write_text(boxes)
+    return pecjax.load_scene(path)
+
+
+def extent(scene):
+    """The corners (3,) m between which all walls end that do end."""
+    corners = np.concatenate([scene.wall_lower, scene.wall_upper])
+    ends = np.abs(corners) < ENDLESS
+    low, high = (np.where(ends, corners, missing) for missing in (np.inf, -np.inf))
+    return low.min(axis=0), high.max(axis=0)
 
 
 @pytest.fixture(scope="session")

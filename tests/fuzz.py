@@ -49,6 +49,11 @@ PIECES = [
     '<asset><hfield name="h" nrow="90000" ncol="90000" size="1 1 1 1"/></asset>',
     '<asset><mesh name="m" file="../secret.obj"/></asset>',
     '<worldbody><replicate count="100000000" offset="1 0 0"><geom size="1"/></replicate></worldbody>',
+    '<worldbody><replicate count="400"><replicate count="400"><body/></replicate></replicate></worldbody>',
+    '<worldbody><attach body="drone" prefix="x"/></worldbody>',
+    '<asset><model name="m" file="map.xml"/><mesh name="m" builtin="plate" params="2000 2000"/></asset>',
+    '<worldbody><geom type="plane" size="0 0 1"/><geom type="mesh" mesh="m" contype="0"/></worldbody>',
+    '<asset><mesh name="m" file="m.obj"/><texture name="t" type="2d" file="t.png"/></asset>',
     '<option timestep="1e-12"/>',
     '<option gravity="nan nan nan"/>',
     "\x00",
@@ -96,7 +101,9 @@ def scene_input(folder: Path, rng: random.Random) -> None:
 
 def coordinates_input(folder: Path, rng: random.Random, scene: pecjax.world.Scene) -> None:
     path = folder / "pairs.csv"
-    path.write_bytes(mutate("0, -2, 5, -2\n-1 0 -1 4\n\n# a comment\n3, 2, 3, 6\n", rng))
+    path.write_bytes(
+        mutate("goal_x, goal_y, start_x, start_y\n5, -2, 0, -2\n-1 0 -1 4\n\n# a comment\n3, 2, 3, 6\n", rng)
+    )
     check_coordinates(scene, load_coordinates(path), flight_height=1.2)
 
 

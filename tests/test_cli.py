@@ -11,11 +11,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
+from test_scene import BAD_MAPS
 
 import pecjax
 from pecjax.cli import main
-from pecjax.experiments import devices
-from pecjax.world import load_coordinates
+from pecjax.experiments import devices, training
+from pecjax.world import load_coordinates, load_scene
+from pecjax.world.scene import default_scene_path
 
 TRAIN = ["train", "--iterations", "2", "--num-envs", "8", "--out", "run"]
 
@@ -147,8 +149,14 @@ CAMERA = '<camera name="depth" pos="0.1 0 0" xyaxes="0 -1 0 0 0 1" fovy="73.7398
 SCENES = {
     "no drone": (('<body name="drone"', '<body name="bird"'), "no body named 'drone'"),
     "no camera": ((CAMERA, ""), "no camera on the body 'drone'"),
-    "a round wall": (('name="west_b"', 'name="west_b" type="cylinder"'), "wall 'west_b' is not"),
-    "a turned wall": (('name="north_b"', 'name="north_b" euler="0 0 0.3"'), "wall 'north_b' is not"),
+    "a round wall": (
+        ('name="west_b"', 'name="west_b" type="cylinder"'),
+        "'west_b' collides and is a cylinder",
+    ),
+    "a turned wall": (
+        ('name="north_b"', 'name="north_b" euler="0 0 0.3"'),
+        "'north_b' collides and is turned",
+    ),
 }
 
 
@@ -193,7 +201,8 @@ def test_scene_files_that_are_none(content, words, command, tmp_path, refused):
         (b"0 0 nan 0\n", "line 1"),
         (b"0 0 inf 0\n", "line 1"),
         (b"\xff\xfe\x00", "cannot be read as text"),
-        (b"0 0 1 0\n0 1 2 0\n", "configuration 1: start (0, 1) lies inside a wall"),
+        (b"start_x,start_y,x,y\n0 0 1 0\n", "places.txt, line 1, column 3: 'x' is unknown"),
+        (b"0 0 1 0\n0 1 2 0\n", "places.txt, line 2: configuration 1: start (0, 1) lies inside a wall"),
         (b"0 0 5 0.8\n", "configuration 0: goal (5, 0.8) lies 0.10 m from a wall"),
         (b"0 0 1 0\n\n0 0 20 0\n", "configuration 1: goal (20, 0) lies outside the map"),
         (b"2 -1 2 -1\n", "configuration 0: start and goal are both (2, -1)"),
@@ -203,6 +212,49 @@ def test_bad_coordinate_files(content, words, command, tmp_path, refused):
     if content is not None:
         (tmp_path / "places.txt").write_bytes(content)
     assert words in refused(*command, "--coordinates", "places.txt")
+
+
+@pytest.mark.parametrize("case", [*BAD_MAPS, "the timestep does not divide a control period"])
+def test_check_and_train_say_the_same_of_a_bad_map(case, edited_rooms, refused):
+    edits = BAD_MAPS[case][0] if case in BAD_MAPS else [('timestep="0.02"', 'timestep="0.03"')]
+    path = edited_rooms(*edits)
+    assert refused("check", "--scene", path) == refused(*TRAIN, "--scene", path)
+
+
+def test_check_and_train_accept_the_same_maps(other_map, edited_rooms, tmp_path, monkeypatch, capsys):
+    """And what is trained on is the map that was checked."""
+    mesh = '<asset><mesh name="hat" file="hat.obj"/></asset><worldbody>'
+    shown = edited_rooms(("<worldbody>", f'{mesh}<geom type="mesh" mesh="hat" contype="0" conaffinity="0"/>'))
+    floor = edited_rooms(("<light", '<geom type="plane" size="9 9 1"/><light'))
+    flown = []
+
+    def go(settings, directory, *_, **__):
+        flown.append(load_scene(directory.scene_path, settings.resolution))
+        return {"uniform_evaluation": {"goal_ratio": 1.0, "episodes": 1, "greedy": True}} | dict.fromkeys(
+            ("env_steps", "seconds", "compile_seconds"), 0
+        )
+
+    monkeypatch.setattr(training, "_go", go)
+    monkeypatch.setattr("pecjax.commands.train.draw", lambda _: None)
+    monkeypatch.setattr("pecjax.commands.check.draw_map", lambda scene, *_: flown.append(scene) or [])
+    (tmp_path / "pairs.csv").write_text("0,-2,-2,-2\n")
+    for number, path in enumerate((other_map, shown, floor, default_scene_path())):
+        world = ["--scene", str(path), "--coordinates", str(tmp_path / "pairs.csv")]
+        assert main(["check", *world]) == 0
+        assert main([*TRAIN[:-1], str(tmp_path / f"run{number}"), *world]) == 0
+        checked, trained = flown[-2:]
+        for name in ("wall_lower", "wall_upper", "bounds", "mass", "inertia", "drone_radius"):
+            np.testing.assert_array_equal(getattr(checked, name), getattr(trained, name))
+        np.testing.assert_array_equal(checked.camera.rotation, trained.camera.rotation)
+    assert capsys.readouterr().err == ""
+
+
+def test_notices_of_a_map_are_printed_by_check(edited_rooms, tmp_path, capsys):
+    path = edited_rooms(('timestep="0.02" ', ""))
+    assert main(["check", "--scene", str(path), "--out", str(tmp_path / "map")]) == 0
+    out, err = capsys.readouterr()
+    assert "14 walls" in out
+    assert err.startswith("pecjax: notice: the map's timestep is 0.002 s") and err.count("\n") == 1
 
 
 @pytest.mark.parametrize("command", [TRAIN, ["check"]], ids=["train", "check"])

@@ -4,6 +4,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+from conftest import extent
 from jax import numpy as jnp
 
 from pecjax.world.clearance import wall_distance
@@ -15,11 +16,12 @@ TOUCHING = 1e-4  # m, where float32 and float64 may differ about who touches
 def points_about(scene, seed):
     """Half of them anywhere in and around the map, half near a wall's faces, edges and corners."""
     rng = np.random.default_rng(seed)
-    low, high = scene.wall_lower.min(axis=0) - 0.5, scene.wall_upper.max(axis=0) + 0.5
-    anywhere = rng.uniform(low, high, (NUM_POINTS // 2, 3))
+    low, high = extent(scene)
+    anywhere = rng.uniform(low - 0.5, high + 0.5, (NUM_POINTS // 2, 3))
     walls = rng.integers(0, len(scene.wall_lower), NUM_POINTS // 2)
     reach = 1.5 * scene.drone_radius
-    near = rng.uniform(scene.wall_lower[walls] - reach, scene.wall_upper[walls] + reach)
+    lower, upper = (np.clip(corners[walls], low, high) for corners in (scene.wall_lower, scene.wall_upper))
+    near = rng.uniform(lower - reach, upper + reach)
     return np.concatenate([anywhere, near])
 
 
@@ -45,7 +47,7 @@ def touches_in_mujoco(scene, points):
     return np.array(touches)
 
 
-@pytest.mark.parametrize("which", ["scene", "other_scene"])
+@pytest.mark.parametrize("which", ["scene", "other_scene", "plane_scene"])
 def test_a_drone_collides_where_mujoco_finds_a_contact(which, request):
     scene = request.getfixturevalue(which)
     points = points_about(scene, seed=0).astype(np.float32)

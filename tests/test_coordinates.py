@@ -1,5 +1,6 @@
 import jax
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies
 from hypothesis.extra.numpy import arrays
@@ -9,6 +10,7 @@ import pecjax
 from pecjax.experiments.plain_files import coordinates_text
 from pecjax.world.clearance import wall_distance
 from pecjax.world.coordinates import free_regions
+from pecjax.world.notices import world_notices
 
 HEIGHT = 1.2
 SET_1, SET_2 = pecjax.COORDINATE_SET_1, pecjax.COORDINATE_SET_2
@@ -136,6 +138,89 @@ def test_loads_a_file_with_commas_blanks_and_comments(tmp_path):
     np.testing.assert_array_equal(table.start, np.float32([(0, -2), (1, -2.5), (-3, 4)]))
     np.testing.assert_array_equal(table.goal, np.float32([(5, -2), (0.5, -1), (-1, 4)]))
     assert table.start.dtype == np.float32
+
+
+HEADERS = [
+    "start_x,start_y,goal_x,goal_y",
+    "goal_x goal_y start_x start_y",
+    "Goal_Y, start_x, GOAL_X,start_y",
+]
+
+
+@pytest.mark.parametrize("mark", ["", "# ", "#", "\ufeff"])
+@pytest.mark.parametrize("header", HEADERS)
+def test_a_header_says_which_column_is_which(header, mark, tmp_path):
+    path = tmp_path / "pairs.csv"
+    rows = np.float32([(0, -2, 5, -2), (1, 2.5, -3, 4)])
+    names = header.lower().replace(",", " ").split()
+    frame = pd.DataFrame(rows, columns=["start_x", "start_y", "goal_x", "goal_y"])[names]
+    lines = frame.to_csv(index=False, header=False)
+    path.write_text(
+        f"\n# rooms\n{mark}{header}  \n{lines}" if "\ufeff" not in mark else f"{mark}{header}\n{lines}"
+    )
+    table = pecjax.load_coordinates(path)
+    np.testing.assert_array_equal(np.hstack([table.start, table.goal]), rows)
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        (
+            "start_x,start_y,goal_x,gaol_y",
+            "line 2, column 4: 'gaol_y' is unknown; the columns are start_x",
+        ),
+        ("# start_x,start_y,goal_x,gaol_y", "pairs.csv, line 2, column 4: 'gaol_y' is unknown"),
+        ("name,start_x,start_y,goal_x,goal_y", "line 2, column 1: 'name' is unknown"),
+        ("start_x,start_y,goal_x,start_x", "line 2, column 4: 'start_x' stands twice"),
+        ("start_x,start_y,goal_x", "line 2: no column goal_y"),
+    ],
+)
+def test_a_header_that_is_wrong_is_refused(header, message, tmp_path):
+    path = tmp_path / "pairs.csv"
+    path.write_text(f"\n{header}\n0,-2,5,-2\n")
+    with pytest.raises(pecjax.InputError) as caught:
+        pecjax.load_coordinates(path)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_row_of_a_file_is_named_by_its_line(scene, tmp_path):
+    path = tmp_path / "pairs.csv"
+    path.write_text("# pairs\n\nstart_x,start_y,goal_x,goal_y\n0,-2,5,-2\n\n0,-2,7.7,-2\n")
+    table = pecjax.load_coordinates(path)
+    with pytest.raises(pecjax.InputError, match=r"pairs\.csv, line 6: configuration 1: goal \(7.7, -2\)"):
+        pecjax.check_coordinates(scene, table, flight_height=HEIGHT, source=path)
+
+
+OUTER_EAST = '<geom class="wall" name="outer_east" pos="8 -1 1.25" size="0.1 9.1 1.25"/>'
+NOTICES = {
+    "nothing": ([], []),
+    "no timestep": ([('timestep="0.02" ', "")], ["timestep is 0.002 s (MuJoCo's default"]),
+    "a fine timestep": ([('timestep="0.02"', 'timestep="0.005"')], ["timestep is 0.005 s: 20 physics steps"]),
+    "a timestep that is fine enough": ([('timestep="0.02"', 'timestep="0.01"')], []),
+    "a wall is missing": ([(OUTER_EAST, "")], ["no closed outer walls"]),
+    "a plane in place of a wall": (
+        [(OUTER_EAST, '<geom type="plane" size="0 0 1" pos="7.9 0 0" zaxis="-1 0 0"/>')],
+        [],
+    ),
+    "a floor": ([("<light", '<geom type="plane" size="0 0 1"/><light')], []),
+}
+
+
+@pytest.mark.parametrize("case", NOTICES)
+def test_what_is_seldom_meant_gets_a_notice(case, edited_rooms):
+    edits, expected = NOTICES[case]
+    found = world_notices(pecjax.load_scene(edited_rooms(*edits)), SET_1)
+    assert len(found) == len(expected), found
+    for line, words in zip(found, expected, strict=True):
+        assert words in line and "\n" not in line
+
+
+def test_a_goal_that_is_reached_at_once_gets_a_notice(scene):
+    rows = np.float32([(0, -2, 5, -2), (0, -2, 0.3, -2.1), (0, 0, 0, 0.5), (0, 0, 0.1, 0)])
+    table = pecjax.Configurations(rows[:, :2], rows[:, 2:])
+    pecjax.check_coordinates(scene, table, flight_height=HEIGHT)
+    (line,) = world_notices(scene, table)
+    assert "configuration 1: the goal is 0.32 m from the start" in line and "so it is in 1 more" in line
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+from conftest import extent
 from jax import numpy as jnp
 
 import pecjax
@@ -15,7 +16,7 @@ EDGE_FRACTION = 0.002
 def poses(scene, seed):
     """Positions all over the map, half of them at any attitude, half of them nearly level."""
     rng = np.random.default_rng(seed)
-    low, high = scene.wall_lower.min(axis=0), scene.wall_upper.max(axis=0)
+    low, high = extent(scene)
     positions = rng.uniform(low + 0.2, high - 0.2, (NUM_POSES, 3))
     anyhow = rng.normal(size=(NUM_POSES // 2, 4))  # normalised, uniform over SO(3)
     heading = rng.uniform(-np.pi, np.pi, NUM_POSES // 2)
@@ -47,7 +48,7 @@ def seen_by_mujoco(model, position, quaternion, near, far):
     return np.clip(image, near, far)
 
 
-@pytest.mark.parametrize("which", ["scene", "other_scene"])
+@pytest.mark.parametrize("which", ["scene", "other_scene", "plane_scene"])
 def test_agrees_with_mujoco_rays_at_any_attitude(which, request):
     scene = request.getfixturevalue(which)
     positions, quaternions = poses(scene, seed=1)

@@ -181,7 +181,7 @@ def test_nothing_to_go_on_from(whole, tmp_path):
     shutil.copytree(whole(PPO, 1), folder)
     for path in (folder / "states").iterdir():
         path.write_bytes(b"torn")
-    with pytest.raises(pecjax.InputError, match=r"6.npz: torn or changed .* train anew"):
+    with pytest.raises(pecjax.InputError, match=r"6.npz: corrupt .* train anew"):
         training.resume(replace(PPO, iterations=8), folder)
     shutil.rmtree(folder / "states")
     with pytest.raises(pecjax.InputError, match="no state to go on from"):

@@ -4,8 +4,11 @@ import pytest
 from jax import numpy as jnp
 
 import pecjax
+from pecjax.experiments.plain_files import scene_text
 from pecjax.world.clearance import wall_distance
 from pecjax.world.flight import hover, physics_step
+from pecjax.world.mjcf_file import read_mjcf
+from pecjax.world.scene import ENDLESS
 
 CAMERA = (
     '<camera name="depth" pos="0.1 0 0" xyaxes="0 -1 0 0 0 1" fovy="73.7398" resolution="16 12"/>',
@@ -69,6 +72,65 @@ def test_reads_nested_and_turned_walls_and_passes_over_what_is_for_show(other_sc
     assert (other_scene.camera.near, other_scene.camera.far) == (0.2, 6.0)
 
 
+def test_what_is_only_for_show_may_need_files_which_are_never_opened(scene, edited_rooms):
+    assets = """<asset><mesh name="hat" file="hat.obj"/><hfield name="hill" file="hill.png" size="1 1 1 1"/>
+      <texture name="wood" type="2d" file="wood.png"/><texture type="skybox" fileup="sky.png"/>
+      <material name="wooden" texture="wood"/></asset><worldbody>
+      <geom type="mesh" mesh="hat" contype="0" conaffinity="0" material="wooden"/>
+      <geom type="hfield" hfield="hill" contype="0" conaffinity="0"/>"""
+    path = edited_rooms(("<worldbody>", assets), (HULL, HULL_MESH), (WALL, WALL + ' material="wooden"'))
+    shown = pecjax.load_scene(path)
+    for name in ("wall_lower", "wall_upper", "mass", "inertia"):
+        np.testing.assert_array_equal(getattr(shown, name), getattr(scene, name))
+    assert shown.wall_names == scene.wall_names
+    kept = scene_text(path)
+    assert "file=" not in kept and 'mesh="hat"' not in kept
+
+
+def test_a_plane_is_the_half_space_behind_it(edited_rooms):
+    ground = '<geom name="ground" type="plane" size="3 3 1" pos="1 1 0.2"/>'
+    west = '<geom name="west" type="plane" size="0 0 1" pos="-12 0 0" zaxis="1 0 0"/>'
+    scene = pecjax.load_scene(edited_rooms(("<light", f"{ground}{west}<light")))
+    walls = [scene.wall_names.index(name) for name in ("ground", "west")]
+    far = ENDLESS
+    np.testing.assert_allclose(scene.wall_lower[walls], [(-far, -far, -far), (-far, -far, -far)])
+    np.testing.assert_allclose(scene.wall_upper[walls], [(far, far, 0.2), (-12, far, far)])
+    # The map is as large as its boxes, and as far as the plane that stands.
+    np.testing.assert_allclose(scene.bounds, [(-12, -10.1), (8.1, 8.1)])
+
+
+def test_bounds_are_those_of_the_boxes(scene, other_scene):
+    for which in (scene, other_scene):
+        corners = np.concatenate([which.wall_lower, which.wall_upper])[:, :2]
+        np.testing.assert_array_equal(which.bounds, [corners.min(axis=0), corners.max(axis=0)])
+
+
+def test_a_map_and_the_map_that_is_saved_of_it_are_the_same(edited_rooms, other_map, tmp_path):
+    """Byte for byte, however many digits the numbers of a map have."""
+    rng = np.random.default_rng(0)
+    saved = tmp_path / "saved.xml"
+    for path in (other_map, *(edited_rooms(*odd_edits(rng)) for _ in range(40))):
+        saved.write_text(scene_text(path))
+        given, kept = read_mjcf(path), read_mjcf(saved)
+        assert kept.text == given.text
+        for name in ("geom_pos", "geom_size", "geom_quat", "body_inertia", "cam_quat"):
+            np.testing.assert_array_equal(getattr(kept.model, name), getattr(given.model, name))
+
+
+def odd_edits(rng):
+    """Walls and a camera whose numbers have more digits than are saved."""
+
+    def numbers(count):
+        return " ".join(repr(float(x)) for x in rng.uniform(size=count) * 10 ** rng.uniform(-3, 0.5))
+
+    turns = " ".join(map(str, rng.choice([0, 1.5707963267948966], 3)))
+    box = f'<geom type="box" pos="{numbers(3)}" size="{numbers(3)}"/>'
+    return (
+        ("<worldbody>", f'<worldbody><body pos="{numbers(3)}" euler="{turns}">{box}</body>'),
+        ('xyaxes="0 -1 0 0 0 1"', f'euler="{numbers(3)}"'),
+    )
+
+
 def test_resolution_may_be_asked_for():
     scene = pecjax.load_scene(resolution=(64, 48))
     assert (scene.camera.width, scene.camera.height) == (64, 48)
@@ -115,18 +177,52 @@ def test_what_hangs_on_the_drone_as_a_body_of_its_own_is_refused(edited_rooms):
         pecjax.load_scene(edited_rooms(('<camera name="depth"', payload + '<camera name="depth"')))
 
 
+MESH = ("<worldbody>", '<asset><mesh name="hat" file="hat.obj"/></asset><worldbody>')
+INERTIAL = '<inertial pos="0 0 0" mass="1.477" diaginertia="0.01152 0.01152 0.0218"/>'
+HULL = '<geom class="visual" name="hull" type="ellipsoid" size="0.12 0.08 0.05"/>'
+HULL_MESH = '<geom class="visual" name="hull" type="mesh" mesh="hat"/>'
 WALL = 'name="north_b" pos="-3 1 1.25" size="1.3 0.1 1.25"'
 BALL = 'type="sphere" size="0.25"'
 BAD_MAPS = {
-    "MuJoCo refuses it": ([('type="ellipsoid"', 'type="egg"')], "MuJoCo cannot compile"),
+    "MuJoCo refuses it": (
+        [('type="ellipsoid"', 'type="egg"')],
+        "MuJoCo cannot compile it: XML Error: invalid keyword: 'egg' Element 'geom', line 67",
+    ),
+    "MuJoCo refuses a size": (
+        [('pos="-10 -1 1.25" size="0.1', 'pos="-10 -1 1.25" size="0')],
+        "Element name 'outer_west', id 0, line 35",
+    ),
     "no drone": ([('<body name="drone"', '<body name="bird"')], "no body named 'drone'"),
     "no camera": ([CAMERA], "no camera"),
-    "a wall is a sphere": ([(WALL, WALL + ' type="sphere"')], "wall 'north_b'"),
-    "a wall is turned": ([(WALL, WALL + ' euler="0 0 0.3"')], "wall 'north_b'"),
-    "a wall leans": ([(WALL, WALL + ' euler="0.01 0 0"')], "wall 'north_b'"),
-    "the ground is a plane": (
-        [("<light", '<geom name="ground" type="plane" size="9 9 1"/><light')],
-        "wall 'ground'",
+    "a wall is a sphere": (
+        [(WALL, WALL + ' type="sphere"')],
+        "line 42: geom 'north_b' collides and is a sphere; only boxes and planes can be walls",
+    ),
+    "a wall is turned": ([(WALL, WALL + ' euler="0 0 0.3"')], "geom 'north_b' collides and is turned 17.2°"),
+    "a wall leans": ([(WALL, WALL + ' euler="0.01 0 0"')], "geom 'north_b' collides and is turned 0.573°"),
+    "the ground leans": (
+        [("<light", '<geom name="ground" type="plane" size="9 9 1" euler="0 0.1 0"/><light')],
+        "geom 'ground' collides and is turned 5.73°",
+    ),
+    "a wall is a mesh": (
+        [MESH, (WALL, WALL + ' type="mesh" mesh="hat"')],
+        "geom 'north_b' collides and needs the file 'hat.obj'",
+    ),
+    "a wall is endless": ([(WALL, WALL.replace("1.3 0.1", "1300 0.1"))], "wall 'north_b' reaches beyond"),
+    "a wall on a mocap body": (
+        [("<light", '<body mocap="true"><geom name="hand" type="box" size="1 1 1"/></body><light')],
+        "geom 'hand' collides on a mocap body",
+    ),
+    "only planes are walls": (
+        [
+            ('conaffinity="1" condim="1" group="0"', 'conaffinity="0" condim="1" group="0"'),
+            ("<light", '<geom type="plane" size="9 9 1"/><light'),
+        ],
+        "at least one box",
+    ),
+    "the drone's mass is in a file": (
+        [MESH, (INERTIAL, ""), (HULL, HULL_MESH.replace("/>", ' mass="1"/>'))],
+        "geom 'hull' needs the file 'hat.obj', which is not read, and the drone's mass depends on it",
     ),
     "no walls": (
         [('conaffinity="1" condim="1" group="0"', 'conaffinity="0" condim="1" group="0"')],
@@ -134,14 +230,19 @@ BAD_MAPS = {
     ),
     "no free joint": ([('<freejoint name="drone"/>', ""), KEYFRAME], "free joint"),
     "an extra joint": (
-        [("<light", '<body><joint/><geom size="0.1"/></body><light'), KEYFRAME],
-        "nothing else may move",
+        [("<light", '<body name="door"><joint name="hinge"/><geom size="0.1"/></body><light'), KEYFRAME],
+        "line 32: joint 'hinge' of the body 'door' moves it, and nothing else may move",
     ),
     "the drone is a box": ([(BALL, 'type="box" size="0.2 0.2 0.1"')], "a sphere at its origin"),
     "no collision geom": (
         [('<geom class="collision" name="drone" ' + BALL + "/>", "")],
         "a sphere at its origin",
     ),
+    "two geoms of the drone collide": (
+        [('<geom class="visual" name="hull"', '<geom class="collision" name="hull"')],
+        "line 67: geom 'hull' is one of 2 that collide",
+    ),
+    "the drone is a hinge": ([('<freejoint name="drone"/>', "<joint/>"), KEYFRAME], "needs one free joint"),
     "the sphere is off the origin": ([(BALL, BALL + ' pos="0 0 0.1"')], "a sphere at its origin"),
     "a child of the drone collides": (
         [('<camera name="depth"', '<body><geom size="0.3" mass="0"/></body><camera name="depth"')],

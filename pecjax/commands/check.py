@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from pecjax.commands.drawing import draw_map
-from pecjax.world.coordinates import check_coordinates, load_coordinates
-from pecjax.world.navigation import NavigationSettings
-from pecjax.world.scene import load_scene
+from pecjax.experiments.assembly import load_world
+from pecjax.experiments.presets import RunSettings
+from pecjax.world.notices import world_notices
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class Check:
 
     Attributes:
         scene: a map and drone in MJCF. (default: the paper's six rooms)
-        coordinates: the paper's set 1 or 2, or a file of lines 'x, y, x, y'.
+        coordinates: the paper's set 1 or 2, or a file of lines 'start_x, start_y, goal_x, goal_y'.
         out: where the picture goes, as .png and .svg.
     """
 
@@ -27,9 +28,10 @@ class Check:
 
     def run(self) -> None:
         """Checks, then draws."""
-        scene = load_scene(self.scene)
-        table = load_coordinates(self.coordinates)
-        check_coordinates(scene, table, flight_height=NavigationSettings().flight_height)
+        scene_name = None if self.scene is None else str(self.scene)
+        _, scene, table = load_world(RunSettings(scene=scene_name, coordinates=self.coordinates))
+        for line in world_notices(scene, table):
+            print(f"pecjax: notice: {line}", file=sys.stderr)
         stem = self.out.with_suffix("") if self.out.suffix in (".png", ".svg") else self.out
         paths = draw_map(scene, table, stem)
         print(

@@ -1,11 +1,14 @@
 """Array files: a pytree of arrays as one .npz file, whole or not there, and read without pickle.
 
 NumPy's format keeps a checksum of every array; `docs/reliability.md` has what writing one costs.
+Names, shapes and types are compared with what is wanted before any array is read, so that a file
+from a stranger takes no more memory than the wanted arrays do.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import tokenize
 import zipfile
@@ -27,6 +30,7 @@ class BrokenFileError(Exception):
 
 
 _ABOUT = "about"
+_MAX_ABOUT = 2**20  # bytes
 # What Python's and NumPy's readers raise over files with changed bytes.
 _UNREADABLE = (
     OSError,
@@ -76,33 +80,76 @@ def read_arrays(path: Path, like: Any, about: dict[str, Any] | None = None) -> A
         about: what the arrays must belong to, if that matters.
 
     Raises:
-        BrokenFileError: the file is torn or changed.
+        BrokenFileError: the file is corrupt.
         InputError: it is whole, but belongs to something else.
     """
     named, structure = jax.tree_util.tree_flatten_with_path(like)
     wanted = {jax.tree_util.keystr(place): leaf for place, leaf in named}
     try:
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            arrays: dict[str, Any] = {name: file[name] for name in file.files}
-        if not all(isinstance(array, np.ndarray) for array in arrays.values()):
-            raise ValueError("a part is no array")
-        written = json.loads(arrays.pop(_ABOUT).tobytes()) if _ABOUT in arrays else {}
+        with path.open("rb") as opened, zipfile.ZipFile(opened) as file:
+            found = _headers(file)
+            written = _read_about(file, found)
+            if about is not None:
+                differing = list(differences(written, json.loads(json.dumps(about))))
+                _check(path, file, differing, "belongs to a run that differs in")
+            plain = {name: _plain_shape(leaf) for name, leaf in wanted.items()}
+            differing = sorted(set(found) ^ set(plain)) or [
+                name for name, leaf in plain.items() if found[name] != (leaf.shape, leaf.dtype)
+            ]
+            _check(
+                path, file, differing, "was written with other settings or by another version; it differs in"
+            )
+            arrays = {name: _read(file, name) for name in plain}
+    except InputError:
+        raise
     except _UNREADABLE as error:
-        raise BrokenFileError(f"{path}: torn or changed ({error})") from error
-    if about is not None:
-        differing = list(differences(written, json.loads(json.dumps(about))))
-        if differing:
-            raise InputError(f"{path}: belongs to a run that differs in {', '.join(differing)}")
-    differing = sorted(set(arrays) ^ set(wanted)) or [
-        name for name, leaf in wanted.items() if not _alike(arrays[name], _plain_shape(leaf))
-    ]
-    if differing:
-        more = f" and {len(differing) - 3} more" if len(differing) > 3 else ""
-        raise InputError(
-            f"{path}: was written with other settings or by another version; it differs in "
-            f"{', '.join(differing[:3])}{more}"
-        )
+        raise BrokenFileError(f"{path}: corrupt ({error})") from error
     return jax.tree.unflatten(structure, [_placed(arrays[name], leaf) for name, leaf in wanted.items()])
+
+
+def _headers(file: zipfile.ZipFile) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+    """Shape and type of every array, each of which takes as much memory as it takes of the file.
+
+    Raises:
+        ValueError: a part is no array as NumPy writes them.
+    """
+    found = {}
+    for part in file.infolist():
+        name = part.filename.removesuffix(".npy")
+        if part.compress_type != zipfile.ZIP_STORED or name == part.filename or name in found:
+            raise ValueError(f"'{part.filename[:60]}' is no plain array")
+        with file.open(part) as opened:
+            if np.lib.format.read_magic(opened) != (1, 0):
+                raise ValueError(f"'{part.filename[:60]}' has a header of another version")
+            shape, _, dtype = np.lib.format.read_array_header_1_0(opened)
+            size = opened.tell() + math.prod(shape) * dtype.itemsize
+        if dtype.hasobject or size != part.file_size:
+            raise ValueError(f"'{part.filename[:60]}' is no array of {shape} {dtype}")
+        found[name] = (shape, dtype)
+    return found
+
+
+def _read_about(file: zipfile.ZipFile, found: dict[str, Any]) -> Any:
+    """Takes what the arrays belong to out of those found."""
+    shape, dtype = found.pop(_ABOUT, ((0,), np.uint8))
+    if dtype != np.uint8 or math.prod(shape) > _MAX_ABOUT:
+        raise ValueError("what it belongs to is no text")
+    return json.loads(_read(file, _ABOUT).tobytes()) if math.prod(shape) else {}
+
+
+def _read(file: zipfile.ZipFile, name: str) -> np.ndarray:
+    with file.open(f"{name}.npy") as opened:
+        return np.lib.format.read_array(opened, allow_pickle=False)
+
+
+def _check(path: Path, file: zipfile.ZipFile, differing: list[str], says: str) -> None:
+    """Refuses a file that differs, if it is whole: then it is another one."""
+    if not differing:
+        return
+    if file.testzip() is not None:  # a checksum is wrong; reads piece by piece
+        raise zipfile.BadZipFile("a checksum is wrong")
+    more = f" and {len(differing) - 3} more" if len(differing) > 3 else ""
+    raise InputError(f"{path}: {says} {', '.join(differing[:3])}{more}")
 
 
 def _is_key(leaf: Any) -> bool:
@@ -115,10 +162,6 @@ def _plain(leaf: Any) -> Any:
 
 def _plain_shape(leaf: Any) -> Any:
     return jax.eval_shape(jax.random.key_data, leaf) if _is_key(leaf) else leaf
-
-
-def _alike(found: Any, wanted: Any) -> bool:
-    return found.shape == wanted.shape and found.dtype == wanted.dtype
 
 
 def _placed(array: np.ndarray, like: Any) -> Any:

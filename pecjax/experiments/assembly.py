@@ -13,10 +13,11 @@ from pecjax.agents import apex, ppo
 from pecjax.agents.agent import AXIS, Agent, TrainState, fleet_mesh, placement, shard
 from pecjax.curriculum import Sampler
 from pecjax.experiments import evaluation
+from pecjax.experiments.amounts import image_bytes
 from pecjax.experiments.devices import check_memory
-from pecjax.experiments.presets import SAMPLERS, RunSettings
+from pecjax.experiments.presets import SAMPLERS, RunSettings, check_settings
 from pecjax.world.coordinates import Configurations, check_coordinates, load_coordinates
-from pecjax.world.navigation import NavigationSettings, RoomsNavigation
+from pecjax.world.navigation import RoomsNavigation
 from pecjax.world.scene import Scene, default_scene_path, load_scene
 
 
@@ -31,15 +32,19 @@ class Run(NamedTuple):
 
 
 def load_world(settings: RunSettings) -> tuple[Path, Scene, Configurations]:
-    """The map's file, the map and the coordinates, checked against one another.
+    """The map's file, the map and the coordinates, checked against one another and the task.
+
+    `pecjax check`, trainings and studies all read their world here, and so agree about it.
 
     Raises:
-        InputError: a file that is not there or is wrong, or pairs that cannot be flown.
+        InputError: a file that is not there or is wrong, a timestep that does not fit, or pairs that
+            cannot be flown.
     """
     scene_path = Path(settings.scene) if settings.scene is not None else default_scene_path()
     table = load_coordinates(settings.coordinates)
     scene = load_scene(scene_path, settings.resolution)
-    check_coordinates(scene, table, flight_height=NavigationSettings().flight_height)
+    flight_height = RoomsNavigation(scene, table).settings.flight_height
+    check_coordinates(scene, table, flight_height=flight_height, source=settings.coordinates)
     return scene_path, scene, table
 
 
@@ -64,9 +69,13 @@ def build(settings: RunSettings, scene: Scene, table: Configurations, num_device
     """Puts world, curriculum and learner together, spread over devices.
 
     Raises:
-        InputError: settings that do not fit one another, or a replay that memory cannot hold.
+        InputError: settings that are absurd or do not fit one another, or images or a replay that
+            memory cannot hold.
     """
+    check_settings(settings)
     env = RoomsNavigation(scene, table)
+    images = image_bytes(settings, scene.camera)
+    check_memory(images, num_devices, "the depth images of an iteration take")
     sampler = SAMPLERS[settings.sampler](table.size, settings.alpha)
     mesh = fleet_mesh(num_devices)
     agent = make_agent(settings, env, table, sampler, AXIS)
@@ -85,7 +94,13 @@ def abstract_state(run: Run) -> TrainState:
 
 
 def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable[[Any], evaluation.Flights]:
-    """The run's evaluation as a compiled program, learner -> flights."""
+    """The run's evaluation as a compiled program, learner -> flights.
+
+    Raises:
+        InputError: more episodes than memory holds the images of.
+    """
+    images = image_bytes(settings, run.env.scene.camera, settings.evaluation_episodes)
+    check_memory(images, run.mesh.devices.size, "the depth images of an evaluation take")
     return evaluation.make_evaluator(
         run.env,
         run.table,

@@ -59,8 +59,11 @@ def choose_num_devices(wanted: int | None, shares: int) -> int:
     return wanted
 
 
-def check_memory(needed: int, num_devices: int) -> None:
+def check_memory(needed: int, num_devices: int, what: str = "the replay takes") -> None:
     """Makes sure that so many bytes, spread over devices, can be had at all.
+
+    Args:
+        what: takes them, for the message.
 
     Raises:
         InputError: they cannot.
@@ -70,6 +73,6 @@ def check_memory(needed: int, num_devices: int) -> None:
     there = there or os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if needed > there:
         raise InputError(
-            f"the replay takes {needed / 1e9:.1f} GB and there are {there / 1e9:.1f} GB of memory; "
+            f"{what} {needed / 1e9:.1f} GB and there are {there / 1e9:.1f} GB of memory; "
             "keep fewer or smaller images"
         )

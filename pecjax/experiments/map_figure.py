@@ -19,7 +19,6 @@ from pecjax.world.coordinates import Configurations
 from pecjax.world.navigation import NavigationSettings
 from pecjax.world.scene import Scene
 
-LARGEST = 1000  # m, of a wall that has ends
 # How walls look: at the flight height, below or above it, and a floor or ceiling.
 SOLID: dict[str, Any] = {"facecolor": "0.35", "linewidth": 0, "zorder": 1}
 PASSED: dict[str, Any] = {
@@ -111,20 +110,13 @@ def floor_plan(axes: Axes, scene: Scene) -> None:
 
     Walls that it flies over or under are hatched; a floor or a ceiling is outlined only.
     """
-    limits = _limits(scene)
+    limits = scene.bounds
     for lower, upper in zip(scene.wall_lower, scene.wall_upper, strict=True):
         (x, y), (right, top) = np.clip([lower[:2], upper[:2]], *limits)
         style = _wall_style(scene, limits, lower, upper)
         axes.add_patch(Rectangle((x, y), right - x, top - y, **style))
     (left, bottom), (right, top) = limits
     axes.set(xlim=(left, right), ylim=(bottom, top), xlabel="x (m)", ylabel="y (m)", aspect="equal")
-
-
-def _limits(scene: Scene) -> np.ndarray:
-    """(2, 2) m, the lower and upper corner of the map, from walls that are not without end."""
-    ends = ((scene.wall_upper - scene.wall_lower)[:, :2] <= LARGEST).all(axis=1)
-    ends |= not ends.any()
-    return np.array([scene.wall_lower[ends, :2].min(axis=0), scene.wall_upper[ends, :2].max(axis=0)])
 
 
 def _wall_style(scene: Scene, limits: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> dict[str, Any]:

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import cattrs
-import mujoco
 import numpy as np
 
 from pecjax.errors import InputError
 from pecjax.experiments.processes import is_lead
 from pecjax.world.coordinates import Configurations
+from pecjax.world.mjcf_file import read_mjcf
 
 Row = dict[str, Any]
 Settings = TypeVar("Settings")
@@ -80,19 +80,12 @@ def coordinates_text(table: Configurations) -> str:
 
 
 def scene_text(scene_path: Path) -> str:
-    """The map with all that it includes, as one MJCF file.
+    """The map with all that it includes, as one MJCF file: the text that `load_scene` reads it as.
 
     Raises:
-        InputError: it needs files that are not MJCF.
+        InputError: it is no MJCF file, or needs files that are not.
     """
-    spec = mujoco.MjSpec.from_file(str(scene_path))
-    for asset in (*spec.meshes, *spec.textures, *spec.hfields, *spec.skins):
-        if getattr(asset, "file", ""):
-            raise InputError(
-                f"{scene_path}: needs the file '{asset.file}', but a run keeps its map as one file; "
-                "take the asset out or draw it with plain geoms"
-            )
-    return spec.to_xml()
+    return read_mjcf(scene_path).text
 
 
 def differences(before: Any, now: Any, name: str = "") -> Iterator[str]:

@@ -16,6 +16,7 @@ from pecjax.agents.q_network import QNetworkSettings
 from pecjax.agents.replay import ReplaySettings
 from pecjax.curriculum import Sampler
 from pecjax.errors import InputError
+from pecjax.experiments.amounts import check_amounts
 
 SAMPLERS: dict[str, Callable[[int, float | jax.Array], Sampler]] = {
     "pec": lambda num_configs, alpha: curriculum.pec(num_configs, alpha),
@@ -41,7 +42,7 @@ class RunSettings:
         iterations: how many to train for, at most.
         until_goal_ratio: the training goal ratio to stop at, once `patience` iterations in a row
             have reached it; None to go on to the end.
-        patience: see there.
+        patience: iterations in a row, for `until_goal_ratio`.
         evaluate_every: iterations between evaluations, each saved as a checkpoint.
         evaluation_episodes: episodes of each, spread evenly over the configurations.
         evaluation_seed: of the evaluations, the same for all runs, so that they are paired.
@@ -175,6 +176,7 @@ def check_settings(settings: RunSettings) -> None:
         "patience": settings.patience,
         "evaluate-every": settings.evaluate_every,
         "evaluation-episodes": settings.evaluation_episodes,
+        "configurations-every": settings.configurations_every,
     }
     for name, value in counts.items():
         if value < 1:
@@ -185,6 +187,7 @@ def check_settings(settings: RunSettings) -> None:
     for seed in (settings.seed, settings.evaluation_seed):
         if not 0 <= seed < 2**31:
             raise InputError(f"seed is {seed}; it must lie in 0 to 2147483647")
+    check_amounts(settings)
 
 
 def override(settings: RunSettings, num_envs: int | None = None, **changes: object) -> RunSettings:

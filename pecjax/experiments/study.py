@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import time
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from pecjax.experiments.plain_files import Row, alone, exact_text, writing
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.study_directory import StudyDirectory, Tables, World
 from pecjax.experiments.study_program import Program, make_program
+from pecjax.world.notices import world_notices
 
 
 def run_study(settings: StudySettings, folder: Path) -> None:
@@ -59,6 +61,9 @@ def _make_slices(
     interruption: Interruption,
 ) -> None:
     slices = settings.slices()
+    notices = [world_notices(scene, table) for _, scene, table in worlds.values()]
+    for line in dict.fromkeys(itertools.chain(*notices)):
+        progress.say(f"notice: {line}")
     for line in directory.verify(len(slices)):
         progress.say(line)
     programs: dict[tuple[str, str, int], Program] = {}

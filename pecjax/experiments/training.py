@@ -21,6 +21,7 @@ from pecjax.experiments.presets import RunSettings, check_settings
 from pecjax.experiments.processes import ending_together, together
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.run_directory import RunDirectory
+from pecjax.world.notices import world_notices
 from pecjax.world.scene import load_scene
 
 
@@ -106,6 +107,8 @@ def _go(settings: RunSettings, directory: RunDirectory, num_devices: int, resume
         run = build(settings, scene, directory.table(), num_devices)
     with alone(folder), Progress(settings.iterations) as progress, Interruption() as interruption:
         progress.say(f"{folder}: {settings.learner.num_envs} environments on {num_devices} device(s)")
+        for line in world_notices(scene, run.table):
+            progress.say(f"notice: {line}")
         if run.agent.replay_bytes:
             progress.say(f"replay: {run.agent.replay_bytes / 1e6:,.0f} MB")
         session = Session(settings, run, directory, progress, interruption, Clock())

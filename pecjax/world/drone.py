@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from pecjax.errors import InputError
+from pecjax.world.mjcf_file import MapFile
 
 DEFAULT_DEPTH_RANGE = (0.1, 10.0)
+MAX_PIXELS = 2**20  # of a depth image
 
 
 @dataclass(frozen=True)
@@ -53,30 +54,68 @@ def collides(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 
-def read_radius(path: Path, model: mujoco.MjModel, drone: int) -> float:
-    """Radius (m) of the one sphere that the drone collides with."""
-    geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] == drone and collides(model, g)]
-    is_sphere = len(geoms) == 1 and model.geom_type[geoms[0]] == mujoco.mjtGeom.mjGEOM_SPHERE
-    if not is_sphere or np.any(model.geom_pos[geoms[0]]):
+def check_joints(map_file: MapFile, drone: int) -> None:
+    """Makes sure that the drone has one free joint, and that nothing else has any.
+
+    Raises:
+        InputError: the first joint that is wrong, or the one that is missing.
+    """
+    model, path = map_file.model, map_file.path
+    for name, body, place in map_file.joints:
+        if body != "drone":
+            said = f"joint '{name}'" if name else "a joint"
+            on = f"the body '{body}'" if body else "a body without a name"
+            raise InputError(
+                f"{place}: {said} of {on} moves it, and nothing else may move than the drone; take it out"
+            )
+    joint = int(model.body_jntadr[drone])
+    is_free = model.body_jntnum[drone] == 1 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+    if not is_free:
+        place = map_file.joints[0][2] if map_file.joints else str(path)
         raise InputError(
-            f"{path}: the body 'drone' needs exactly one geom that collides, a sphere at its origin"
+            f"{place}: the body 'drone' needs one free joint and no other; write <freejoint/> in it"
         )
+
+
+def read_radius(map_file: MapFile, drone: int) -> float:
+    """Radius (m) of the one sphere that the drone collides with."""
+    model = map_file.model
+    geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] == drone and collides(model, g)]
+    needs = "the body 'drone' needs exactly one geom that collides, a sphere at its origin"
+    if not geoms:
+        raise InputError(f'{map_file.path}: {needs}; it has none, write <geom type="sphere" size=…/> in it')
+    if len(geoms) > 1:
+        raise InputError(
+            f"{map_file.geom(geoms[1])} is one of {len(geoms)} that collide, and {needs}; "
+            'give those that are for show contype="0" conaffinity="0"'
+        )
+    kind = mujoco.mjtGeom(model.geom_type[geoms[0]])
+    if kind != mujoco.mjtGeom.mjGEOM_SPHERE or np.any(model.geom_pos[geoms[0]]):
+        wrong = "off its origin" if kind == mujoco.mjtGeom.mjGEOM_SPHERE else f"a {geom_kind(kind)}"
+        raise InputError(f"{map_file.geom(geoms[0])} is {wrong}, and {needs}; make it one")
     return float(model.geom_size[geoms[0], 0])
 
 
-def read_inertia(path: Path, model: mujoco.MjModel, drone: int) -> np.ndarray:
+def geom_kind(kind: mujoco.mjtGeom) -> str:
+    """The word that MJCF has for a kind of geom."""
+    return kind.name.removeprefix("mjGEOM_").lower()
+
+
+def read_inertia(map_file: MapFile, drone: int) -> np.ndarray:
     """Principal moments (3,) kg m² about the drone's own axes."""
+    model = map_file.model
     turned = abs(model.body_iquat[drone, 0]) < 1 - 1e-6
     if turned or np.any(np.abs(model.body_ipos[drone]) > 1e-6):
         raise InputError(
-            f"{path}: the drone's centre of mass must be its origin and its principal axes its own; "
+            f"{map_file.path}: the drone's centre of mass must be its origin and its principal axes its own; "
             'write <inertial pos="0 0 0" mass=… diaginertia=…>'
         )
     return model.body_inertia[drone].copy()
 
 
-def read_camera(path: Path, model: mujoco.MjModel, drone: int) -> Camera:
+def read_camera(map_file: MapFile, drone: int) -> Camera:
     """The first camera on the drone."""
+    model, path = map_file.model, map_file.path
     cameras = [c for c in range(model.ncam) if model.cam_bodyid[c] == drone]
     if not cameras:
         raise InputError(f"{path}: no camera on the body 'drone'; add <camera fovy=… resolution=…>")
@@ -86,6 +125,8 @@ def read_camera(path: Path, model: mujoco.MjModel, drone: int) -> Camera:
     width, height = (int(n) for n in model.cam_resolution[camera])
     if width < 1 or height < 1 or width * height == 1:
         raise InputError(f"{path}: the camera's resolution is {width}×{height}; give it more pixels")
+    if width * height > MAX_PIXELS:
+        raise InputError(f"{path}: the camera has {width}×{height} pixels; {MAX_PIXELS:,} is the most")
     if np.any(model.cam_sensorsize[camera]):
         raise InputError(f"{path}: the camera has intrinsics of its own; describe it by fovy alone")
     depth_range = np.array(DEFAULT_DEPTH_RANGE)
@@ -98,8 +139,9 @@ def read_camera(path: Path, model: mujoco.MjModel, drone: int) -> Camera:
     return Camera(model.cam_pos[camera].copy(), rotation.reshape(3, 3), fovy, height, width, near, far)
 
 
-def read_rotors(path: Path, model: mujoco.MjModel, drone: int) -> Rotors:
+def read_rotors(map_file: MapFile, drone: int) -> Rotors:
     """Asks MuJoCo what one unit of each control does to a level drone."""
+    model, path = map_file.model, map_file.path
     sites = model.site_bodyid[model.actuator_trnid[:, 0]] if model.nu else np.array([])
     on_drone = np.all(model.actuator_trntype == mujoco.mjtTrn.mjTRN_SITE) and np.all(sites == drone)
     limits = model.actuator_ctrlrange.copy()
