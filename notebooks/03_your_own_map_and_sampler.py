@@ -30,8 +30,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import Image
 
-from pecjax.curriculum import Outcomes, Sampler, pec
-from pecjax.curriculum import sample_ids
+from pecjax.curriculum import Outcomes, Sampler, pec, sample_ids
 from pecjax.experiments import presets, study_figures, study_report
 from pecjax.experiments.studies import find_study
 from pecjax.experiments.study import run_study

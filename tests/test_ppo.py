@@ -10,6 +10,7 @@ import optax
 import pytest
 import rlax
 from jax.sharding import PartitionSpec
+from probe_tasks import TABLE, TwoStates
 from scipy.special import log_softmax
 from scipy.stats import entropy as scipy_entropy
 
@@ -316,27 +317,47 @@ def assert_trees_close(one, other, atol):
     jax.tree.map(close, one, other)
 
 
-@pytest.mark.parametrize("devices", [2, 4])
-def test_many_devices_fly_and_learn_as_one(devices, near, small):
-    init, iterate = small
-    shared = near(SMALL, devices=devices)
-    together = jax.jit(shared.iterate)
-    one, many = init(jax.random.key(0)), shared.init(jax.random.key(0))
+def assert_learn_alike(one_agent, many_agent, iterations):
+    """Iteration by iteration; returns the trials, and the last state of the agent on many devices.
+
+    Every iteration begins with the same learner, since what rounding leaves of it grows from one to
+    the next: Adam divides by gradients that grow small, and a draw near its edge falls either way.
+    """
+    iterate, together = jax.jit(one_agent.iterate), jax.jit(many_agent.iterate)
+    one, many = jax.jit(one_agent.init)(jax.random.key(0)), many_agent.init(jax.random.key(0))
     trials = 0
-    for _ in range(20):
-        (one, of_one), (many, of_many) = iterate(one), together(many)
+    for _ in range(iterations):
+        same = jax.tree.map(lambda a, b: jax.device_put(a, b.sharding), one.learner, many.learner)
+        (one, of_one), (many, of_many) = iterate(one), together(many._replace(learner=same))
         np.testing.assert_array_equal(one.fleet.config_id, many.fleet.config_id)
         np.testing.assert_array_equal(of_one.counts, of_many.counts)
-        # A sum's rounding, 1e-7 after the first iteration, grows by Adam's division.
-        assert_trees_close(one.learner, many.learner, atol=1e-5)
+        assert_trees_close(one.learner, many.learner, atol=1e-6)
         # Lengths of metres and returns of thousands, after 100 physics steps in float32.
         assert_trees_close(one.fleet, many.fleet, atol=1e-4)
         assert_trees_close((one.sampler, one.key), (many.sampler, many.key), atol=0)
         assert_trees_close(of_one, of_many, atol=1e-4)
         trials += int(of_one.counts[0].sum())
+    return trials, many
+
+
+@pytest.mark.parametrize("devices", [2, 4])
+def test_many_devices_learn_as_one(devices):
+    """In a task whose numbers are exact, so that all that differs is the rounding of sums over devices."""
+    sampler, env = pecjax.curriculum.pec(TABLE.size), TwoStates()
+    many = shard(ppo.make(env, TABLE, sampler, SMALL, AXIS), fleet_mesh(devices))
+    trials, state = assert_learn_alike(ppo.make(env, TABLE, sampler, SMALL), many, iterations=20)
     assert trials > SMALL.num_envs  # so that drawing anew was part of it
     # Sharing the fleet is the point of it.
-    assert len(many.fleet.config_id.sharding.device_set) == devices
+    assert len(state.fleet.config_id.sharding.device_set) == devices
+
+
+def test_two_devices_fly_and_learn_as_one(near):
+    """In flight, for as long as no ray passes an edge: there a position's last digit decides what is seen.
+
+    That comes after twelve iterations on JAX 0.12, and later on 0.9.
+    """
+    trials, _ = assert_learn_alike(near(SMALL), near(SMALL, devices=2), iterations=6)
+    assert trials > SMALL.num_envs
 
 
 @pytest.mark.parametrize(
