@@ -192,9 +192,68 @@ def test_nothing_to_go_on_from(whole, tmp_path):
 
 def test_a_run_at_its_end_has_nowhere_to_go(whole):
     before = (whole(PPO, 1) / "metrics.csv").read_bytes()
-    with pytest.raises(pecjax.InputError, match="has come to its end at iteration 6"):
+    with pytest.raises(pecjax.InputError, match="already finished at iteration 6"):
         training.resume(PPO, whole(PPO, 1))
     assert (whole(PPO, 1) / "metrics.csv").read_bytes() == before
+
+
+@pytest.fixture
+def ended(whole, tmp_path, monkeypatch):
+    """A run at its end; `resume` goes up to its next iteration and returns where the loop would begin."""
+    folder = tmp_path / "run"
+    shutil.copytree(whole(PPO, 1), folder)
+    monkeypatch.setattr(training, "compile_iteration", lambda run: None)
+    monkeypatch.setattr(training, "loop", lambda session, here, iterate: here)
+    return folder
+
+
+def write_ratios(folder, ratios):
+    """Puts training goal ratios into metrics.csv, as an older or luckier training would have left them."""
+    path = folder / "metrics.csv"
+    table = pd.read_csv(path, dtype=str)
+    table.assign(goal_ratio=ratios).to_csv(path, index=False)
+
+
+def test_the_streak_of_a_resumed_run_is_that_of_its_new_threshold(ended):
+    write_ratios(ended, [0.2, 0.95, 0.5, 0.9, 0.96, 0.97])
+    longer = replace(PPO, iterations=9)
+    for threshold, patience, held in ((0.9, 4, 3), (0.95, 3, 2), (0.99, 1, 0), (0.4, 6, 5), (None, 2, 0)):
+        settings = replace(longer, until_goal_ratio=threshold, patience=patience)
+        assert training.resume(settings, ended).held == held, threshold
+    before = (ended / "config.json").read_bytes()
+    for threshold, patience in ((0.9, 3), (0.5, 1)):
+        settings = replace(longer, until_goal_ratio=threshold, patience=patience)
+        with pytest.raises(pecjax.InputError, match=rf"already finished .* {threshold}; .*--patience"):
+            training.resume(settings, ended)
+    assert (ended / "config.json").read_bytes() == before
+    # What was written after the newest checkpoint belongs to no streak.
+    with (ended / "metrics.csv").open("a") as file:
+        file.write((ended / "metrics.csv").read_text().splitlines()[-1].replace("6,", "7,", 1) + "\n")
+    assert training.resume(replace(longer, until_goal_ratio=0.96), ended).held == 2
+
+
+@pytest.mark.parametrize("damage", ["empty", "a cut header", "an empty header"])
+def test_a_table_without_a_whole_header_counts_as_absent(damage, ended, capsys):
+    path = ended / "metrics.csv"
+    text = path.read_text()
+    path.write_text({"empty": "", "a cut header": text[:30], "an empty header": "\n" + text}[damage])
+    training.resume(replace(PPO, iterations=9, until_goal_ratio=0.5), ended)
+    assert "metrics.csv: had no whole first line; begins again after iteration 6" in capsys.readouterr().err
+    RunDirectory(ended).append("metrics.csv", [{"iteration": 7, "goal_ratio": 0.5}])
+    assert pd.read_csv(path).to_dict("list") == {"iteration": [7], "goal_ratio": [0.5]}
+
+
+def test_tables_of_other_kinds_are_refused_in_one_line(ended):
+    settings = replace(PPO, iterations=9, until_goal_ratio=0.5)
+    (ended / "metrics.csv").write_text("iteration,goal_ratio\n1,0.5\nx,0.5\n2,\n")
+    assert training.resume(settings, ended).held == 0
+    assert (ended / "metrics.csv").read_text() == "iteration,goal_ratio\n1,0.5\n2,\n"
+    (ended / "metrics.csv").write_text("iteration,goal_ratio\n1,high\n")
+    with pytest.raises(pecjax.InputError, match=r"metrics.csv: column goal_ratio is damaged"):
+        training.resume(settings, ended)
+    (ended / "metrics.csv").write_bytes(b"\xff\n1,1\n")
+    with pytest.raises(pecjax.InputError, match=r"metrics.csv: has no column iteration"):
+        training.resume(settings, ended)
 
 
 def test_another_run_is_refused_and_the_difference_named(whole, tmp_path, monkeypatch):

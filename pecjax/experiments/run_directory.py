@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from pecjax.errors import InputError
 from pecjax.experiments import plain_files
 from pecjax.experiments.presets import RunSettings
 from pecjax.experiments.processes import by_the_lead
@@ -63,17 +64,45 @@ class RunDirectory:
         with path.open("a", newline="") as file:
             file.write(text)
 
+    def column(self, name: str, column: str, keep: Callable[[int], bool]) -> list[float]:
+        """One column of a table, of the iterations that are wanted; NaN where a figure is missing.
+
+        Raises:
+            InputError: the table has no such column, or something else than numbers in it.
+        """
+        header, rows = self._read(name)
+        if not rows:
+            return []
+        place = _place(self.folder / name, header, column)
+        try:
+            return [float(row[place] or "nan") for iteration, row in rows if keep(iteration)]
+        except ValueError as error:
+            raise InputError(f"{self.folder / name}: column {column} is damaged ({error})") from error
+
     @by_the_lead
     def roll_back(self, name: str, keep: Callable[[int], bool]) -> None:
-        """Keeps only the whole rows of those iterations that are wanted."""
+        """Keeps only the whole rows of those iterations that are wanted.
+
+        Raises:
+            InputError: the table has no column of iterations.
+        """
+        header, rows = self._read(name)
+        if header:
+            kept = [",".join(row) + "\n" for iteration, row in rows if keep(iteration)]
+            plain_files.replace_file(self.folder / name, ",".join(header) + "\n" + "".join(kept))
+        else:
+            self.remove(name)
+
+    def _read(self, name: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
+        """A table's header and its whole rows by iteration; none where it lacks a whole first line."""
         path = self.folder / name
-        if not path.exists():
-            return
-        header, *rows = path.read_text().splitlines(keepends=True)
-        place, number = header.split(",").index("iteration"), header.count(",")
-        whole = [row.split(",") for row in rows if row.endswith("\n") and row.count(",") == number]
-        kept = [",".join(row) for row in whole if keep(int(row[place]))]
-        plain_files.replace_file(path, header + "".join(kept))
+        text = path.read_text(errors="replace") if path.is_file() else ""
+        whole = [line.split(",") for line in text.split("\n")[:-1]]
+        if not whole or whole[0] == [""]:
+            return [], []
+        header, *rows = whole
+        place = _place(path, header, "iteration")
+        return header, [(int(r[place]), r) for r in rows if len(r) == len(header) and r[place].isdecimal()]
 
     @by_the_lead
     def remove(self, *names: str) -> None:
@@ -110,6 +139,12 @@ class RunDirectory:
             "coordinates.csv": hashlib.sha256((self.folder / "coordinates.csv").read_bytes()).hexdigest(),
             "version": importlib.metadata.version("pecjax"),
         }
+
+
+def _place(path: Path, header: list[str], column: str) -> int:
+    if column not in header:
+        raise InputError(f"{path}: has no column {column}; restore the file or train anew in another folder")
+    return header.index(column)
 
 
 def _what_matters(settings: RunSettings) -> dict[str, Any]:
