@@ -1,10 +1,12 @@
 """Stopping and going on: bit for bit the training that never stopped, whatever stopped it."""
 
+import json
 import os
 import resource
 import shutil
 import signal
 from dataclasses import replace
+from datetime import datetime, timedelta
 
 import jax
 import numpy as np
@@ -17,7 +19,7 @@ import pecjax
 from pecjax.agents.q_network import QNetworkSettings
 from pecjax.agents.replay import ReplaySettings
 from pecjax.errors import DivergedError, StoppedError
-from pecjax.experiments import loop, presets, training
+from pecjax.experiments import loop, presets, provenance, training
 from pecjax.experiments.array_files import BrokenFileError, read_arrays, write_arrays
 from pecjax.experiments.plain_files import alone
 from pecjax.experiments.presets import PRESETS
@@ -241,6 +243,52 @@ def test_a_table_without_a_whole_header_counts_as_absent(damage, ended, capsys):
     assert "metrics.csv: had no whole first line; begins again after iteration 6" in capsys.readouterr().err
     RunDirectory(ended).append("metrics.csv", [{"iteration": 7, "goal_ratio": 0.5}])
     assert pd.read_csv(path).to_dict("list") == {"iteration": [7], "goal_ratio": [0.5]}
+
+
+def test_a_resumed_run_keeps_what_it_began_with_and_lists_its_sessions(ended, monkeypatch):
+    began = json.loads((ended / "config.json").read_text())
+    (first,) = began["sessions"]
+    assert first["from_iteration"] == 0
+    assert datetime.fromisoformat(first["started"]).utcoffset() == timedelta(0)
+    facts = {name: began[name] for name in ("versions", "machine", "devices", "git_commit")}
+    assert facts.items() <= first.items()
+    monkeypatch.setattr(provenance, "git_commit", lambda: "f00df00d")
+    training.resume(replace(PPO, iterations=9), ended)
+    training.resume(replace(PPO, iterations=12), ended, devices=2)
+    now = json.loads((ended / "config.json").read_text())
+    assert facts.items() <= now.items() and now["settings"]["iterations"] == 12
+    assert now["sessions"][0] == first
+    rest = [(s["from_iteration"], s["git_commit"], s["devices"]["used"]) for s in now["sessions"][1:]]
+    assert rest == [(6, "f00df00d", 1), (6, "f00df00d", 2)]
+    assert RunDirectory(ended).num_devices() == 2  # as many as last time
+
+
+def test_a_run_of_an_older_version_gets_its_sessions(ended):
+    began = json.loads((ended / "config.json").read_text())
+    del began["sessions"]
+    (ended / "config.json").write_text(json.dumps(began))
+    assert RunDirectory(ended).settings() == PPO and RunDirectory(ended).num_devices() == 1
+    training.resume(replace(PPO, iterations=9), ended)
+    first, second = json.loads((ended / "config.json").read_text())["sessions"]
+    del began["settings"]
+    assert first == {"from_iteration": 0, "started": None} | began
+    assert second["from_iteration"] == 6 and second["started"]
+
+
+def test_a_run_that_begins_while_another_looks_at_the_folder_is_left_alone(tmp_path, monkeypatch):
+    folder, free = tmp_path / "run", training.check_free
+    scene_path, _, table = training.load_world(PPO)
+
+    def look(path):
+        free(path)
+        RunDirectory(folder).create(replace(PPO, seed=3), scene_path, table, 1)
+
+    monkeypatch.setattr(training, "check_free", look)
+    with pytest.raises(pecjax.InputError, match="run: holds another run; give another folder"):
+        training.train(PPO, folder, devices=1)
+    assert RunDirectory(folder).settings().seed == 3
+    with alone(tmp_path / "run"), pytest.raises(pecjax.InputError, match="another process trains here"):
+        RunDirectory(folder).create(PPO, scene_path, table, 1)
 
 
 def test_tables_of_other_kinds_are_refused_in_one_line(ended):

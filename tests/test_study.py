@@ -15,9 +15,10 @@ import pytest
 
 import pecjax
 from pecjax.errors import DivergedError, StoppedError
-from pecjax.experiments import study_directory, study_figures, study_report, training
+from pecjax.experiments import provenance, study_directory, study_figures, study_report, training
 from pecjax.experiments.assembly import make_agent
 from pecjax.experiments.grid import Member, StudySettings
+from pecjax.experiments.plain_files import alone
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.studies import SCALES, STUDIES, find_study
 from pecjax.experiments.study import run_study
@@ -314,12 +315,68 @@ def test_another_studys_folder_is_refused_and_the_difference_named(study, settin
         file.write("0 -2 0.7 -2\n5 -2.4 5 -3.2\n-5 -2 -5 -1.2\n")
 
 
-def test_a_study_that_goes_on_at_another_commit_says_so(study, settings, monkeypatch, capsys):
-    monkeypatch.setattr(study_directory, "git_commit", lambda: "f00df00d")
-    run_study(settings, study)
-    begun = json.loads((study / "study.json").read_text())["git_commit"]
-    if begun:  # the tests may run outside a checkout
-        assert f"begun at commit {begun[:7]} and goes on at f00df00" in capsys.readouterr().err
+def commits(folder):
+    texts = [path.read_text() for path in sorted((folder / "slices").glob("*/provenance.json"))]
+    return [json.loads(text)["git_commit"] for text in texts]
+
+
+def test_a_study_that_goes_on_at_another_commit_says_so_and_keeps_both(study, settings, tmp_path, capsys):
+    folder = tmp_path / "study"
+    shutil.copytree(study, folder)
+    began = json.loads((study / "study.json").read_text())
+    shutil.rmtree(folder / "slices" / "0001")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(provenance, "git_commit", lambda: "f00df00d-dirty")
+        run_study(settings, folder)
+    commit = began["git_commit"]
+    assert commits(folder) == [commit, "f00df00d-dirty", commit] and commits(study) == [commit] * 3
+    if commit:  # the tests may run outside a checkout
+        words = f"begun at commit {provenance.short_commit(commit)} and goes on at f00df00-dirty"
+        assert words in capsys.readouterr().err
+    assert digests(folder) == digests(study)
+    assert (folder / "study.json").read_bytes() == (study / "study.json").read_bytes()
+
+
+def test_slices_of_an_older_version_need_no_provenance(study, settings, tmp_path, monkeypatch):
+    monkeypatch.setattr("pecjax.experiments.study.make_program", None)
+    folder = tmp_path / "study"
+    shutil.copytree(study, folder)
+    for path in (folder / "slices").glob("*/SHA256SUMS"):
+        (path.parent / "provenance.json").unlink()
+        path.write_text("".join(line for line in path.read_text().splitlines(True) if ".csv" in line))
+    run_study(settings, folder)
+    assert digests(folder) == digests(study)
+
+
+def test_a_slice_with_an_empty_table_is_no_traceback(study, settings, tmp_path, monkeypatch):
+    monkeypatch.setattr("pecjax.experiments.study.make_program", None)
+    folder = tmp_path / "study"
+    shutil.copytree(study, folder)
+    path = folder / "slices" / "0001" / "metrics.csv"
+    sums = path.with_name("SHA256SUMS")
+    empty = hashlib.sha256(b"").hexdigest()
+    sums.write_text(sums.read_text().replace(hashlib.sha256(path.read_bytes()).hexdigest(), empty))
+    path.write_bytes(b"")
+    run_study(settings, folder)
+    assert len(pd.read_csv(folder / "metrics.csv")) == 4 * 3
+
+
+def test_a_study_that_begins_while_another_looks_at_the_folder_is_left_alone(settings, tmp_path, monkeypatch):
+    folder, free = tmp_path / "study", study_directory.plain_files.check_free
+
+    def look(path):
+        free(path)
+        monkeypatch.setattr(study_directory.plain_files, "check_free", free)
+        with monkeypatch.context() as patched:
+            patched.setattr("pecjax.experiments.study._make_slices", lambda *_: None)
+            run_study(replace(settings, seeds=(9,)), folder)
+
+    monkeypatch.setattr(study_directory.plain_files, "check_free", look)
+    with pytest.raises(pecjax.InputError, match=r"differs in settings.seeds|differs in seeds"):
+        run_study(settings, folder)
+    assert StudyDirectory(folder).settings().seeds == (9,)
+    with alone(folder), pytest.raises(pecjax.InputError, match="another process trains here"):
+        run_study(settings, folder)
 
 
 def test_what_else_lies_among_the_slices_is_left_alone(study, settings, tmp_path):

@@ -18,7 +18,15 @@ def use_all_cores() -> None:
     there is one, is used as ever.
     """
     with contextlib.suppress(RuntimeError):  # JAX has begun, and keeps the devices that it has
-        jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+        jax.config.update("jax_num_cpu_devices", num_cores())
+
+
+def num_cores() -> int:
+    """How many CPU cores this process may use, as far as the system tells."""
+    count = getattr(os, "process_cpu_count", None)  # since Python 3.13
+    if count is None and hasattr(os, "sched_getaffinity"):  # not on macOS
+        return len(os.sched_getaffinity(0))
+    return (count or os.cpu_count)() or 1
 
 
 def keep_compiled_programs() -> str:

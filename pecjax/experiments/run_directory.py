@@ -14,7 +14,7 @@ from pecjax.errors import InputError
 from pecjax.experiments import plain_files
 from pecjax.experiments.presets import RunSettings
 from pecjax.experiments.processes import by_the_lead
-from pecjax.experiments.provenance import environment_facts
+from pecjax.experiments.provenance import FACTS, session_facts
 from pecjax.world.coordinates import Configurations, load_coordinates
 
 HOW_LONG = ("iterations", "until_goal_ratio", "patience")  # settings that no iteration depends on
@@ -35,14 +35,20 @@ class RunDirectory:
     def create(
         self, settings: RunSettings, scene_path: Path, table: Configurations, num_devices: int
     ) -> None:
-        """Writes what the run depends on: settings, map and coordinates."""
+        """Writes what the run depends on: settings, map and coordinates.
+
+        Raises:
+            InputError: another run or study has begun in the folder, or it cannot be written.
+        """
         scene = plain_files.scene_text(scene_path)
         with plain_files.writing(self.folder, "choose another --out"):
             self.folder.mkdir(parents=True, exist_ok=True)
-            (self.folder / "figures").mkdir()
-            self.scene_path.write_text(scene)
-            (self.folder / "coordinates.csv").write_text(plain_files.coordinates_text(table))
-            self.record(settings, num_devices)
+            with plain_files.alone(self.folder):  # whoever else begins here at this moment is refused
+                plain_files.check_free(self.folder)
+                (self.folder / "figures").mkdir()
+                self.scene_path.write_text(scene)
+                (self.folder / "coordinates.csv").write_text(plain_files.coordinates_text(table))
+                self.record(settings, num_devices)
 
     def settings(self) -> RunSettings:
         """Reads the settings back.
@@ -115,17 +121,28 @@ class RunDirectory:
         """Writes one JSON object."""
         plain_files.replace_file(self.folder / name, plain_files.json_text(content))
 
-    def record(self, settings: RunSettings, num_devices: int) -> None:
-        """Writes config.json."""
-        config = {"settings": dataclasses.asdict(settings)} | environment_facts(num_devices)
+    @by_the_lead
+    def record(self, settings: RunSettings, num_devices: int, from_iteration: int = 0) -> None:
+        """Writes config.json: the settings, the facts when the run began, and one more session."""
+        session = session_facts(num_devices, from_iteration)
+        facts = {name: session[name] for name in FACTS}
+        sessions = []
+        if from_iteration:
+            before = self._config()
+            facts = {name: before.get(name) for name in FACTS}
+            sessions = _sessions(before)
+        config = {"settings": dataclasses.asdict(settings)} | facts | {"sessions": [*sessions, session]}
         self.write_json("config.json", config)
 
     def num_devices(self) -> int | None:
-        """How many devices the run was begun on, where its config.json says so."""
+        """How many devices the run was last trained on, where its config.json says so."""
         try:
-            return int(json.loads((self.folder / "config.json").read_text())["devices"]["used"])
+            return int(_sessions(self._config())[-1]["devices"]["used"])
         except (OSError, ValueError, KeyError, TypeError):
             return None
+
+    def _config(self) -> dict[str, Any]:
+        return json.loads((self.folder / "config.json").read_text())
 
     def differences(self, settings: RunSettings) -> list[str]:
         """What a run that goes on with these settings would do otherwise than before."""
@@ -139,6 +156,14 @@ class RunDirectory:
             "coordinates.csv": hashlib.sha256((self.folder / "coordinates.csv").read_bytes()).hexdigest(),
             "version": importlib.metadata.version("pecjax"),
         }
+
+
+def _sessions(config: dict[str, Any]) -> list[dict[str, Any]]:
+    """The sessions that a config.json lists; older ones only have the facts of the last."""
+    sessions = config.get("sessions")
+    if isinstance(sessions, list) and sessions:
+        return sessions
+    return [{"from_iteration": 0, "started": None} | {name: config.get(name) for name in FACTS}]
 
 
 def _place(path: Path, header: list[str], column: str) -> int:

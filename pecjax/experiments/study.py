@@ -18,7 +18,7 @@ from pecjax.experiments.evaluation import Flights
 from pecjax.experiments.grid import Member, StudySettings
 from pecjax.experiments.interruption import Interruption
 from pecjax.experiments.measures import cvar
-from pecjax.experiments.plain_files import Row, alone, writing
+from pecjax.experiments.plain_files import Row, writing
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.study_directory import StudyDirectory, Tables, World
 from pecjax.experiments.study_program import Program, make_program
@@ -40,10 +40,9 @@ def run_study(settings: StudySettings, folder: Path) -> None:
         name: load_world(dataclasses.replace(settings.run, coordinates=name)) for name in settings.coordinates
     }
     directory = StudyDirectory(folder)
-    directory.open(settings, worlds, len(jax.devices()))
     runs = sum(map(len, settings.slices()))
     with (
-        alone(folder),
+        directory.open(settings, worlds, len(jax.devices())),
         writing(folder, "the same command goes on once it can"),
         Progress(runs * settings.run.iterations) as progress,
         Interruption() as interruption,

@@ -153,7 +153,7 @@ def _go_on(session: Session) -> tuple[Position, Iterate]:
         directory.roll_back(name, keep)
         if before and not (folder / name).exists():
             progress.say(f"{folder / name}: had no whole first line; begins again after iteration {done}")
-    directory.record(settings, run.mesh.devices.size)
+    directory.record(settings, run.mesh.devices.size, from_iteration=done)
     checkpoints.forget_after(done, settings.evaluate_every)
     progress.say(f"goes on after iteration {done}")
     progress.skip(done)
