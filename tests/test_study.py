@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 
 import pecjax
+from pecjax.commands.study import Study
 from pecjax.errors import DivergedError, StoppedError
 from pecjax.experiments import provenance, study_directory, study_figures, study_report, training
 from pecjax.experiments.assembly import make_agent
@@ -21,7 +22,7 @@ from pecjax.experiments.grid import Member, StudySettings
 from pecjax.experiments.plain_files import alone
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.studies import SCALES, STUDIES, find_study
-from pecjax.experiments.study import run_study
+from pecjax.experiments.study import _Rows, run_study
 from pecjax.experiments.study_directory import StudyDirectory
 from pecjax.experiments.study_program import make_program
 
@@ -255,11 +256,62 @@ def test_a_full_disk_is_said_and_the_study_goes_on_afterwards(study, settings, t
     assert digests(folder) == digests(study)
 
 
-def test_figures_that_are_not_finite_stop_a_study(settings, tmp_path):
+def test_a_study_whose_runs_all_diverge_ends_with_one_line_and_does_not_repeat_them(
+    settings, tmp_path, monkeypatch, capsys
+):
     run = replace(settings.run, ppo=replace(settings.run.ppo, learning_rate=1e30))
-    with pytest.raises(DivergedError, match=r"sampler pec, alpha 0\.0, seed 4: at iteration \d .*parameters"):
-        run_study(replace(settings, run=run), tmp_path / "study")
-    assert not list((tmp_path / "study" / "slices").iterdir())
+    diverging = replace(settings, run=run, samplers=("pec",), seeds=(4,))
+    words = (
+        r"2 of 2 runs diverged .* sampler pec, alpha 0\.0, seed 4: at iteration \d .*parameters.*try again"
+    )
+    with pytest.raises(DivergedError, match=words) as error:
+        run_study(diverging, tmp_path / "study")
+    assert "\n" not in str(error.value)
+    assert capsys.readouterr().err.count("; the other runs continue") == 2
+    assert not StudyDirectory(tmp_path / "study").has_rows()
+    monkeypatch.setattr("pecjax.experiments.study.make_program", None)
+    with pytest.raises(DivergedError, match=words):
+        run_study(diverging, tmp_path / "study")
+
+
+def test_a_run_that_diverges_is_left_out_and_all_others_are_made(
+    study, settings, tmp_path, monkeypatch, capsys
+):
+    """As if PEC with α = 3 and seed 4 diverged: the second run of the first slice."""
+    folder, add, asked = tmp_path / "study", _Rows.add_metrics, []
+
+    def add_metrics(self, iteration, metrics):
+        member = self._head["alpha"], self._head["seed"]
+        if member == (3.0, 4) and iteration == 2:
+            asked.append(member)
+            metrics = metrics._replace(finite=dict.fromkeys(metrics.finite, False))
+        add(self, iteration, metrics)
+
+    monkeypatch.setattr(_Rows, "add_metrics", add_metrics)
+    for _ in range(2):
+        with pytest.raises(DivergedError, match=r"1 of 6 runs .* alpha 3\.0, seed 4: at iteration 2"):
+            run_study(settings, folder)
+    assert len(asked) == 1  # the second time nothing is trained
+    for name in TABLES:
+        wanted = pd.read_csv(study / f"{name}.csv")
+        wanted = wanted[~((wanted.alpha == 3) & (wanted.seed == 4))].reset_index(drop=True)
+        pd.testing.assert_frame_equal(pd.read_csv(folder / f"{name}.csv"), wanted)
+    assert "pec, α = 3 - uniform, 1 pairs" in study_report.write_report(folder)
+    # The command reports what there is before it ends with the same line.
+    named = Study(name="fig4", scale="smoke", out=folder)
+    monkeypatch.setattr(Study, "_settings", lambda *_: settings)
+    monkeypatch.setattr("pecjax.commands.study.draw", lambda _: [])
+    capsys.readouterr()
+    with pytest.raises(DivergedError, match="1 of 6 runs"):
+        named.run()
+    out, err = capsys.readouterr()
+    assert "1 pairs" in out and "smoke" not in out.replace(str(folder), "")
+    assert err.count("a smoke study tries the program out; its runs are too short to learn") == 2
+    assert err.splitlines()[0].endswith("anything")
+    shutil.rmtree(folder / "slices" / "0000")
+    monkeypatch.setattr(_Rows, "add_metrics", add)
+    run_study(settings, folder)
+    assert digests(folder) == digests(study)
 
 
 def test_a_finished_study_only_gathers(study, settings, monkeypatch):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from dataclasses import replace
 
 import jax
@@ -247,7 +248,8 @@ def test_a_run_of_apex_leaves_the_same_files_and_its_policy_can_be_had(
     assert (metrics.episodes > 0).all() and metrics.goal_ratio.between(0, 1).all()
     counts = pd.read_csv(folder / "configurations.csv")
     assert counts[counts.iteration == 3].trials.sum() == metrics.episodes.sum()
-    assert "replay: 1 MB" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "replay: 1 MB" in err and re.search(r"training goal ratio \d\.\d{3} of \d+ episode\(s\)", err)
     assert run_figures.draw_run(folder)
     directory = RunDirectory(folder)
     assert directory.settings() == settings
@@ -272,6 +274,26 @@ def test_a_run_ends_once_its_goal_ratio_has_been_held(folders, near_goals):
     # It ends like any other: with an evaluation and a checkpoint.
     assert pd.read_csv(folders / "held" / "evaluation.csv").iteration.iloc[-1] == len(ratios)
     assert Checkpoints(folders / "held").iterations()[-1] == len(ratios)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "num_envs", "wanted", "words"),
+    [
+        ("ppo", 6, None, "6 environments on 3 of 4 devices; --num-envs 4 or 8 would use all of them"),
+        ("ppo", 3, None, "3 environments on 3 of 4 devices; --num-envs 4 would use all of them"),
+        ("ppo", 8, None, "8 environments on 4 of 4 devices"),
+        ("ppo", 8, 2, "8 environments on 2 of 4 devices"),
+        ("apex", 8, None, "8 environments on 2 of 4 devices; they share the work by its 2 replay shards"),
+    ],
+)
+def test_devices_that_stay_idle_are_named(algorithm, num_envs, wanted, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(training, "_begin", lambda session: (None, None))
+    monkeypatch.setattr(training, "loop", lambda *_: {})
+    settings = presets.override(presets.find_preset(algorithm=algorithm), num_envs=num_envs)
+    replay = ReplaySettings(capacity=2**16, num_shards=2)
+    settings = replace(settings, apex=replace(settings.apex, replay=replay))
+    training.train(settings, tmp_path / "run", wanted)
+    assert f"run: {words}\n" in capsys.readouterr().err
 
 
 def test_cores_are_counted_on_systems_that_tell_less(monkeypatch):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pecjax.commands.drawing import draw_map
+from pecjax.commands.options import Option
 from pecjax.world.coordinates import check_coordinates, load_coordinates
 from pecjax.world.navigation import NavigationSettings
 from pecjax.world.scene import load_scene
@@ -21,7 +22,7 @@ class Check:
         out: where the picture goes, as .png and .svg.
     """
 
-    scene: Path | None = None
+    scene: Option[Path] = None
     coordinates: str = "1"
     out: Path = Path("check")
 

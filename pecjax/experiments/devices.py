@@ -67,6 +67,22 @@ def choose_num_devices(wanted: int | None, shares: int) -> int:
     return wanted
 
 
+def advice_on_idle_devices(num_envs: int, shares: int, num_devices: int) -> str:
+    """How all devices could be used where the number of equal parts leaves some idle, else nothing.
+
+    Args:
+        shares: as in `choose_num_devices`.
+    """
+    available = len(jax.devices())
+    if num_devices == available or shares % available == 0:
+        return ""
+    if shares != num_envs:
+        return f"; they share the work by its {shares} replay shards"
+    below = num_envs // available * available
+    near = [str(number) for number in (below, below + available) if number]
+    return f"; --num-envs {' or '.join(near)} would use all of them"
+
+
 def check_memory(needed: int, num_devices: int) -> None:
     """Makes sure that so many bytes, spread over devices, can be had at all.
 

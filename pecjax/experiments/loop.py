@@ -118,8 +118,9 @@ def loop(session: Session, here: Position, iterate: Iterate) -> dict[str, Any]:
                 f"{'greedy' if settings.greedy else 'sampled'} episodes of a uniform draw"
             )
         rate = row["env_steps"] / clock.seconds()
-        ended = f"{row['goal_ratio']:.3f}" if metrics.watched.any() else "not known yet"
-        progress.advance(1, f"training goal ratio {ended}, {rate:,.0f} steps/s")
+        ended = int(metrics.watched[0])
+        ratio = f"{row['goal_ratio']:.3f} of {ended} episode(s)" if ended else "not known yet"
+        progress.advance(1, f"training goal ratio {ratio}, {rate:,.0f} steps/s")
         asked = greatest(interruption.asked or 0)
         summary = _summary(settings, row, evaluated, clock) if last else {}
         if last:

@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,8 @@ from pecjax.world.scene import Scene
 World = tuple[Path, Scene, Configurations]  # of one set of coordinates
 Tables = dict[str, list[plain_files.Row]]  # rows by the name of their table
 _SUMS = "SHA256SUMS"
-_PROVENANCE = "provenance.json"  # of a slice: no times in it, so that the same code writes the same bytes
+_PROVENANCE = "provenance.json"  # of a slice; no times in it: the same code writes the same bytes
+_DIVERGED = "diverged.txt"  # of a slice, where some of its runs are not in its tables
 
 
 class StudyDirectory:
@@ -143,17 +144,37 @@ class StudyDirectory:
     def _slice_path(self, number: int) -> Path:
         return self._slices / f"{number:04}"
 
-    def write_slice(self, number: int, tables: Tables) -> None:
-        """Writes a finished slice, whole or not at all, and what it was made by."""
+    def write_slice(self, number: int, tables: Tables, diverged: Sequence[str] = ()) -> None:
+        """Writes a finished slice, whole or not at all, and what it was made by.
+
+        Args:
+            tables: of the runs that came to their end.
+            diverged: the others, in words.
+        """
         new = self._slices / f".{number:04}"
         new.mkdir()
         files = {f"{name}.csv": plain_files.csv_text(tables[name]) for name in self.TABLES}
         files[_PROVENANCE] = plain_files.json_text(self._facts)
+        if diverged:
+            files[_DIVERGED] = "".join(f"{line}\n" for line in diverged)
         for name, text in files.items():
             (new / name).write_text(text)
         sums = [f"{hashlib.sha256(text.encode()).hexdigest()}  {name}\n" for name, text in files.items()]
         (new / _SUMS).write_text("".join(sums))
         os.replace(new, self._slice_path(number))
+
+    def diverged(self, number: int) -> list[str]:
+        """The runs of so many slices that diverged, in words, and how to try them again."""
+        return [
+            f"{line} (remove {path.parent} to try again)"
+            for path in (slice_ / _DIVERGED for slice_ in self._held(number))
+            if path.is_file()
+            for line in path.read_text().splitlines()
+        ]
+
+    def has_rows(self) -> bool:
+        """Whether a run has come to its end: whether the tables say anything."""
+        return bool((self.folder / "results.csv").read_text().strip())
 
     def _held(self, number: int) -> list[Path]:
         return [self._slice_path(n) for n in range(number) if self.holds(n)]
@@ -177,4 +198,4 @@ def _is_whole(path: Path) -> bool:
     except (OSError, ValueError):
         return False
     tables = {f"{name}.csv" for name in StudyDirectory.TABLES}
-    return found == sums and tables <= set(sums) <= tables | {_PROVENANCE}  # older slices lack the last
+    return found == sums and tables <= set(sums) <= tables | {_PROVENANCE, _DIVERGED}

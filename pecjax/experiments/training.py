@@ -13,7 +13,7 @@ from pecjax.agents.agent import TrainState
 from pecjax.errors import InputError
 from pecjax.experiments.assembly import Run, abstract_state, build, load_world
 from pecjax.experiments.checkpoint import Checkpoints, Position
-from pecjax.experiments.devices import choose_num_devices
+from pecjax.experiments.devices import advice_on_idle_devices, choose_num_devices
 from pecjax.experiments.interruption import Interruption
 from pecjax.experiments.loop import Clock, Iterate, Session, is_counted, is_evaluated, loop, streak
 from pecjax.experiments.plain_files import alone, check_free, writing
@@ -105,7 +105,10 @@ def _go(settings: RunSettings, directory: RunDirectory, num_devices: int, resume
         scene = load_scene(directory.scene_path, settings.resolution)
         run = build(settings, scene, directory.table(), num_devices)
     with alone(folder), Progress(settings.iterations) as progress, Interruption() as interruption:
-        progress.say(f"{folder}: {settings.learner.num_envs} environments on {num_devices} device(s)")
+        learner, available = settings.learner, len(jax.devices())
+        advice = "" if resumed else advice_on_idle_devices(learner.num_envs, learner.shares, num_devices)
+        on = f"{num_devices} of {available} devices{advice}" if available > 1 else "1 device"
+        progress.say(f"{folder}: {learner.num_envs} environments on {on}")
         if run.agent.replay_bytes:
             progress.say(f"replay: {run.agent.replay_bytes / 1e6:,.0f} MB")
         session = Session(settings, run, directory, progress, interruption, Clock())
