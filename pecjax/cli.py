@@ -66,8 +66,10 @@ def parse(args: Sequence[str] | None = None) -> Command:
 def _one_line(complaint: str, options: list[str]) -> str:
     """The gist of tyro's complaint, which fills a box of several sections."""
     lines = [line.strip(" │|") for line in complaint.splitlines()]
-    # Below the title, as far as a line that is empty or drawn; the rest is help text.
-    line = " ".join(itertools.takewhile(re.compile(r"\w").search, lines[1:])) or " ".join(lines)
+    # Below the title, as far as the next line that is empty or drawn; the rest is help text.
+    words = re.compile(r"\w").search
+    below = itertools.dropwhile(lambda line: not words(line), lines[1:])
+    line = " ".join(itertools.takewhile(words, below)) or " ".join(lines)
     if found := re.fullmatch(r"Unrecognized options: (.*)", line):
         given = found[1].split(", ")
         unknown = next((word for word in given if word.startswith("-")), None)

@@ -283,14 +283,14 @@ def test_a_run_ends_once_its_goal_ratio_has_been_held(folders, near_goals):
         ("ppo", 3, None, "3 environments on 3 of 4 devices; --num-envs 4 would use all of them"),
         ("ppo", 8, None, "8 environments on 4 of 4 devices"),
         ("ppo", 8, 2, "8 environments on 2 of 4 devices"),
-        ("apex", 8, None, "8 environments on 2 of 4 devices; they share the work by its 2 replay shards"),
+        ("apex", 512, None, "512 environments on 2 of 4 devices; they share the work by its 2 replay shards"),
     ],
 )
 def test_devices_that_stay_idle_are_named(algorithm, num_envs, wanted, words, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(training, "_begin", lambda session: (None, None))
     monkeypatch.setattr(training, "loop", lambda *_: {})
     settings = presets.override(presets.find_preset(algorithm=algorithm), num_envs=num_envs)
-    replay = ReplaySettings(capacity=2**16, num_shards=2)
+    replay = replace(settings.apex.replay, num_shards=2)
     settings = replace(settings, apex=replace(settings.apex, replay=replay))
     training.train(settings, tmp_path / "run", wanted)
     assert f"run: {words}\n" in capsys.readouterr().err
