@@ -190,11 +190,11 @@ def test_a_study_that_was_stopped_ends_byte_for_byte_the_same(
     folder = tmp_path / "study"
     write = StudyDirectory.write_slice
 
-    def stop(self, number, tables):
+    def stop(self, number, *args):
         if number == finished:
             (self.folder / "slices" / f".{number:04}").mkdir()  # as a kill in the middle would leave it
             raise KilledError
-        write(self, number, tables)
+        write(self, number, *args)
 
     monkeypatch.setattr(StudyDirectory, "write_slice", stop)
     with pytest.raises(KilledError):
@@ -230,9 +230,9 @@ def test_a_signal_stops_a_study_between_evaluations(asked, study, settings, tmp_
 def test_a_signal_at_the_end_of_a_slice_keeps_it_and_begins_no_other(settings, tmp_path, monkeypatch):
     write = StudyDirectory.write_slice
 
-    def interrupt(self, number, tables):
+    def interrupt(self, number, *args):
         os.kill(os.getpid(), signal.SIGINT)
-        write(self, number, tables)
+        write(self, number, *args)
 
     monkeypatch.setattr(StudyDirectory, "write_slice", interrupt)
     with pytest.raises(StoppedError):
