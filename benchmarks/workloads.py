@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -19,6 +18,7 @@ import pecjax
 from pecjax.agents import AXIS, fleet_mesh
 from pecjax.agents.rollout import env_keys, launch, rollout
 from pecjax.curriculum import Sampler
+from pecjax.experiments.devices import num_cores
 from pecjax.world.depth import depth_image, pixel_directions
 from pecjax.world.flight import Command, fly, hover
 
@@ -37,11 +37,6 @@ class Workload(NamedTuple):
     run: Callable[[], object]
     amount: float
     unit: str
-
-
-def num_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def sharded(function: Callable, mesh: Mesh, in_specs: tuple, out_specs: object) -> Callable:

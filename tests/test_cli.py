@@ -131,13 +131,14 @@ def test_every_command_explains_itself(command, capsys):
     assert stop.value.code == 0
     out, err = capsys.readouterr()
     assert "usage: pecjax" in out and err == ""
-    options = {"train": ["--preset", "--alpha", "--seed"], "eval": ["--json"], "check": ["--scene"]}
+    options = {"train": ["--preset", "--alpha", "--seed"], "eval": ["--json", "--seed"], "check": ["--scene"]}
     for option in options.get("".join(command), []):
         assert option in out
 
 
-def test_as_a_process_of_its_own(tmp_path):
-    command = [sys.executable, "-m", "pecjax.cli", "check", "--scene", "nowhere.xml"]
+@pytest.mark.parametrize("module", ["pecjax", "pecjax.cli"])
+def test_as_a_process_of_its_own(module, tmp_path):
+    command = [sys.executable, "-m", module, "check", "--scene", "nowhere.xml"]
     refused = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=120)
     assert refused.returncode == 2 and refused.stdout == ""
     assert refused.stderr == "pecjax: nowhere.xml: no such scene file; give the path of an MJCF file\n"
@@ -292,7 +293,12 @@ def test_a_goal_that_no_path_reaches(command, edited_rooms, refused):
         (["--devices", "2", "--num-envs", "7"], ["7 environments", "2 devices"]),
         (["--seed", "-1"], ["seed is -1"]),
         (["--seed", "99999999999"], ["seed is 99999999999"]),
-        (["--speed", "3"], ["--speed"]),
+        (["--speed", "3"], ["unknown option --speed"]),
+        (["--itterations", "3"], ["unknown option --itterations (did you mean --iterations?)"]),
+        (["--num-envz=8"], ["(did you mean --num-envs?)"]),
+        (["--sampler", "uniform", "--alpha", "0.5"], ["the sampler uniform has no alpha", "leave out"]),
+        (["run2"], ["unexpected 'run2'"]),
+        (["--alpha", "β"], ["--alpha takes a number, not 'β'; pecjax train --help lists all options\n"]),
         (["--iterations", "many"], ["--iterations", "many"]),
         (["--alpha", "big"], ["--alpha", "big"]),
         (["--seed", "1.5"], ["--seed", "1.5"]),
@@ -319,6 +325,9 @@ def test_bad_options_of_train(options, words, refused):
         (["--seeds"], ["seeds is empty"]),
         (["--alphas"], ["alphas is empty"]),
         (["--alphas", "0", "-1"], ["alpha is -1"]),
+        (["--samplers", "uniform", "--alphas", "0.2", "0.5"], ["uniform has no alpha", "leave out --alphas"]),
+        (["--alhpas", "0.2"], ["(did you mean --alphas?)"]),
+        (["--alphas", "x"], ["--alphas takes numbers, not 'x'"]),
         (["--seeds", "0-"], ["seeds: '0-' is neither"]),
         (["--seeds", "9-0"], ["'9-0' must rise"]),
         (["--seeds", "0-4", "3"], ["seeds names 3 more than once"]),
@@ -335,8 +344,31 @@ def test_bad_options_of_study(options, words, refused, tmp_path):
 
 
 def test_no_command_and_an_unknown_one(refused):
-    refused()
-    assert "fly" in refused("fly")
+    assert "no command; give one of train, eval" in refused()
+    assert "unknown command 'fly'; give one of train, eval" in refused("fly")
+    assert "unknown command 'trian' (did you mean train?)" in refused("trian", "--seed", "3")
+    assert "(did you mean --version?)" in refused("--verison")
+
+
+@pytest.mark.parametrize("columns", ["40", "200"])
+def test_complaints_are_the_same_on_every_terminal(columns, refused, monkeypatch):
+    monkeypatch.setenv("COLUMNS", columns)
+    line = "unknown option --alhpa (did you mean --alpha?); pecjax train --help lists all options"
+    assert refused("train", "--alhpa", "3") == f"pecjax: {line}\n"
+
+
+def test_the_version(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["--version"])
+    assert stop.value.code == 0 and capsys.readouterr() == (f"pecjax {pecjax.__version__}\n", "")
+
+
+@pytest.mark.parametrize("command", ["train", "study", "check", "eval"])
+def test_help_names_each_default_once_and_no_types_of_python(command, capsys):
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    words = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "(default: None)" not in words and "{None}" not in words and ") (default" not in words
 
 
 def test_out_folders_that_cannot_be_had(tmp_path, refused):

@@ -1,10 +1,12 @@
 """Stopping and going on: bit for bit the training that never stopped, whatever stopped it."""
 
+import json
 import os
 import resource
 import shutil
 import signal
 from dataclasses import replace
+from datetime import datetime, timedelta
 
 import jax
 import numpy as np
@@ -17,7 +19,7 @@ import pecjax
 from pecjax.agents.q_network import QNetworkSettings
 from pecjax.agents.replay import ReplaySettings
 from pecjax.errors import DivergedError, StoppedError
-from pecjax.experiments import loop, presets, training
+from pecjax.experiments import loop, presets, provenance, training
 from pecjax.experiments.array_files import BrokenFileError, read_arrays, write_arrays
 from pecjax.experiments.plain_files import alone
 from pecjax.experiments.presets import PRESETS
@@ -192,9 +194,114 @@ def test_nothing_to_go_on_from(whole, tmp_path):
 
 def test_a_run_at_its_end_has_nowhere_to_go(whole):
     before = (whole(PPO, 1) / "metrics.csv").read_bytes()
-    with pytest.raises(pecjax.InputError, match="has come to its end at iteration 6"):
+    with pytest.raises(pecjax.InputError, match="already finished at iteration 6"):
         training.resume(PPO, whole(PPO, 1))
     assert (whole(PPO, 1) / "metrics.csv").read_bytes() == before
+
+
+@pytest.fixture
+def ended(whole, tmp_path, monkeypatch):
+    """A run at its end; `resume` goes up to its next iteration and returns where the loop would begin."""
+    folder = tmp_path / "run"
+    shutil.copytree(whole(PPO, 1), folder)
+    monkeypatch.setattr(training, "compile_iteration", lambda run: None)
+    monkeypatch.setattr(training, "loop", lambda session, here, iterate: here)
+    return folder
+
+
+def write_ratios(folder, ratios):
+    """Puts training goal ratios into metrics.csv, as an older or luckier training would have left them."""
+    path = folder / "metrics.csv"
+    table = pd.read_csv(path, dtype=str)
+    table.assign(goal_ratio=ratios).to_csv(path, index=False)
+
+
+def test_the_streak_of_a_resumed_run_is_that_of_its_new_threshold(ended):
+    write_ratios(ended, [0.2, 0.95, 0.5, 0.9, 0.96, 0.97])
+    longer = replace(PPO, iterations=9)
+    for threshold, patience, held in ((0.9, 4, 3), (0.95, 3, 2), (0.99, 1, 0), (0.4, 6, 5), (None, 2, 0)):
+        settings = replace(longer, until_goal_ratio=threshold, patience=patience)
+        assert training.resume(settings, ended).held == held, threshold
+    before = (ended / "config.json").read_bytes()
+    for threshold, patience in ((0.9, 3), (0.5, 1)):
+        settings = replace(longer, until_goal_ratio=threshold, patience=patience)
+        with pytest.raises(pecjax.InputError, match=rf"already finished .* {threshold}; .*--patience"):
+            training.resume(settings, ended)
+    assert (ended / "config.json").read_bytes() == before
+    # What was written after the newest checkpoint belongs to no streak.
+    with (ended / "metrics.csv").open("a") as file:
+        file.write((ended / "metrics.csv").read_text().splitlines()[-1].replace("6,", "7,", 1) + "\n")
+    assert training.resume(replace(longer, until_goal_ratio=0.96), ended).held == 2
+
+
+@pytest.mark.parametrize("damage", ["empty", "a cut header", "an empty header"])
+def test_a_table_without_a_whole_header_counts_as_absent(damage, ended, capsys):
+    path = ended / "metrics.csv"
+    text = path.read_text()
+    path.write_text({"empty": "", "a cut header": text[:30], "an empty header": "\n" + text}[damage])
+    training.resume(replace(PPO, iterations=9, until_goal_ratio=0.5), ended)
+    assert "metrics.csv: had no whole first line; begins again after iteration 6" in capsys.readouterr().err
+    RunDirectory(ended).append("metrics.csv", [{"iteration": 7, "goal_ratio": 0.5}])
+    assert pd.read_csv(path).to_dict("list") == {"iteration": [7], "goal_ratio": [0.5]}
+
+
+def test_a_resumed_run_keeps_what_it_began_with_and_lists_its_sessions(ended, monkeypatch):
+    began = json.loads((ended / "config.json").read_text())
+    (first,) = began["sessions"]
+    assert first["from_iteration"] == 0
+    assert datetime.fromisoformat(first["started"]).utcoffset() == timedelta(0)
+    facts = {name: began[name] for name in ("versions", "machine", "devices", "git_commit")}
+    assert facts.items() <= first.items()
+    monkeypatch.setattr(provenance, "git_commit", lambda: "f00df00d")
+    training.resume(replace(PPO, iterations=9), ended)
+    training.resume(replace(PPO, iterations=12), ended, devices=2)
+    now = json.loads((ended / "config.json").read_text())
+    assert facts.items() <= now.items() and now["settings"]["iterations"] == 12
+    assert now["sessions"][0] == first
+    rest = [(s["from_iteration"], s["git_commit"], s["devices"]["used"]) for s in now["sessions"][1:]]
+    assert rest == [(6, "f00df00d", 1), (6, "f00df00d", 2)]
+    assert RunDirectory(ended).num_devices() == 2  # as many as last time
+
+
+def test_a_run_of_an_older_version_gets_its_sessions(ended):
+    began = json.loads((ended / "config.json").read_text())
+    del began["sessions"]
+    (ended / "config.json").write_text(json.dumps(began))
+    assert RunDirectory(ended).settings() == PPO and RunDirectory(ended).num_devices() == 1
+    training.resume(replace(PPO, iterations=9), ended)
+    first, second = json.loads((ended / "config.json").read_text())["sessions"]
+    del began["settings"]
+    assert first == {"from_iteration": 0, "started": None} | began
+    assert second["from_iteration"] == 6 and second["started"]
+
+
+def test_a_run_that_begins_while_another_looks_at_the_folder_is_left_alone(tmp_path, monkeypatch):
+    folder, free = tmp_path / "run", training.check_free
+    scene_path, _, table = training.load_world(PPO)
+
+    def look(path):
+        free(path)
+        RunDirectory(folder).create(replace(PPO, seed=3), scene_path, table, 1)
+
+    monkeypatch.setattr(training, "check_free", look)
+    with pytest.raises(pecjax.InputError, match="run: holds another run; give another folder"):
+        training.train(PPO, folder, devices=1)
+    assert RunDirectory(folder).settings().seed == 3
+    with alone(tmp_path / "run"), pytest.raises(pecjax.InputError, match="another process trains here"):
+        RunDirectory(folder).create(PPO, scene_path, table, 1)
+
+
+def test_tables_of_other_kinds_are_refused_in_one_line(ended):
+    settings = replace(PPO, iterations=9, until_goal_ratio=0.5)
+    (ended / "metrics.csv").write_text("iteration,goal_ratio\n1,0.5\nx,0.5\n2,\n")
+    assert training.resume(settings, ended).held == 0
+    assert (ended / "metrics.csv").read_text() == "iteration,goal_ratio\n1,0.5\n2,\n"
+    (ended / "metrics.csv").write_text("iteration,goal_ratio\n1,high\n")
+    with pytest.raises(pecjax.InputError, match=r"metrics.csv: column goal_ratio is damaged"):
+        training.resume(settings, ended)
+    (ended / "metrics.csv").write_bytes(b"\xff\n1,1\n")
+    with pytest.raises(pecjax.InputError, match=r"metrics.csv: has no column iteration"):
+        training.resume(settings, ended)
 
 
 def test_another_run_is_refused_and_the_difference_named(whole, tmp_path, monkeypatch):

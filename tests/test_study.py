@@ -14,13 +14,15 @@ import pandas as pd
 import pytest
 
 import pecjax
+from pecjax.commands.study import Study
 from pecjax.errors import DivergedError, StoppedError
-from pecjax.experiments import study_directory, study_figures, study_report, training
+from pecjax.experiments import provenance, study_directory, study_figures, study_report, training
 from pecjax.experiments.assembly import make_agent
 from pecjax.experiments.grid import Member, StudySettings
+from pecjax.experiments.plain_files import alone
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.studies import SCALES, STUDIES, find_study
-from pecjax.experiments.study import run_study
+from pecjax.experiments.study import _Rows, run_study
 from pecjax.experiments.study_directory import StudyDirectory
 from pecjax.experiments.study_program import make_program
 
@@ -188,11 +190,11 @@ def test_a_study_that_was_stopped_ends_byte_for_byte_the_same(
     folder = tmp_path / "study"
     write = StudyDirectory.write_slice
 
-    def stop(self, number, tables):
+    def stop(self, number, *args):
         if number == finished:
             (self.folder / "slices" / f".{number:04}").mkdir()  # as a kill in the middle would leave it
             raise KilledError
-        write(self, number, tables)
+        write(self, number, *args)
 
     monkeypatch.setattr(StudyDirectory, "write_slice", stop)
     with pytest.raises(KilledError):
@@ -228,9 +230,9 @@ def test_a_signal_stops_a_study_between_evaluations(asked, study, settings, tmp_
 def test_a_signal_at_the_end_of_a_slice_keeps_it_and_begins_no_other(settings, tmp_path, monkeypatch):
     write = StudyDirectory.write_slice
 
-    def interrupt(self, number, tables):
+    def interrupt(self, number, *args):
         os.kill(os.getpid(), signal.SIGINT)
-        write(self, number, tables)
+        write(self, number, *args)
 
     monkeypatch.setattr(StudyDirectory, "write_slice", interrupt)
     with pytest.raises(StoppedError):
@@ -254,11 +256,62 @@ def test_a_full_disk_is_said_and_the_study_goes_on_afterwards(study, settings, t
     assert digests(folder) == digests(study)
 
 
-def test_figures_that_are_not_finite_stop_a_study(settings, tmp_path):
+def test_a_study_whose_runs_all_diverge_ends_with_one_line_and_does_not_repeat_them(
+    settings, tmp_path, monkeypatch, capsys
+):
     run = replace(settings.run, ppo=replace(settings.run.ppo, learning_rate=1e30))
-    with pytest.raises(DivergedError, match=r"sampler pec, alpha 0\.0, seed 4: at iteration \d .*parameters"):
-        run_study(replace(settings, run=run), tmp_path / "study")
-    assert not list((tmp_path / "study" / "slices").iterdir())
+    diverging = replace(settings, run=run, samplers=("pec",), seeds=(4,))
+    words = (
+        r"2 of 2 runs diverged .* sampler pec, alpha 0\.0, seed 4: at iteration \d .*parameters.*try again"
+    )
+    with pytest.raises(DivergedError, match=words) as error:
+        run_study(diverging, tmp_path / "study")
+    assert "\n" not in str(error.value)
+    assert capsys.readouterr().err.count("; the other runs continue") == 2
+    assert not StudyDirectory(tmp_path / "study").has_rows()
+    monkeypatch.setattr("pecjax.experiments.study.make_program", None)
+    with pytest.raises(DivergedError, match=words):
+        run_study(diverging, tmp_path / "study")
+
+
+def test_a_run_that_diverges_is_left_out_and_all_others_are_made(
+    study, settings, tmp_path, monkeypatch, capsys
+):
+    """As if PEC with α = 3 and seed 4 diverged: the second run of the first slice."""
+    folder, add, asked = tmp_path / "study", _Rows.add_metrics, []
+
+    def add_metrics(self, iteration, metrics):
+        member = self._head["alpha"], self._head["seed"]
+        if member == (3.0, 4) and iteration == 2:
+            asked.append(member)
+            metrics = metrics._replace(finite=dict.fromkeys(metrics.finite, False))
+        add(self, iteration, metrics)
+
+    monkeypatch.setattr(_Rows, "add_metrics", add_metrics)
+    for _ in range(2):
+        with pytest.raises(DivergedError, match=r"1 of 6 runs .* alpha 3\.0, seed 4: at iteration 2"):
+            run_study(settings, folder)
+    assert len(asked) == 1  # the second time nothing is trained
+    for name in TABLES:
+        wanted = pd.read_csv(study / f"{name}.csv")
+        wanted = wanted[~((wanted.alpha == 3) & (wanted.seed == 4))].reset_index(drop=True)
+        pd.testing.assert_frame_equal(pd.read_csv(folder / f"{name}.csv"), wanted)
+    assert "pec, α = 3 - uniform, 1 pairs" in study_report.write_report(folder)
+    # The command reports what there is before it ends with the same line.
+    named = Study(name="fig4", scale="smoke", out=folder)
+    monkeypatch.setattr(Study, "_settings", lambda *_: settings)
+    monkeypatch.setattr("pecjax.commands.study.draw", lambda _: [])
+    capsys.readouterr()
+    with pytest.raises(DivergedError, match="1 of 6 runs"):
+        named.run()
+    out, err = capsys.readouterr()
+    assert "1 pairs" in out and "smoke" not in out.replace(str(folder), "")
+    assert err.count("a smoke study tries the program out; its runs are too short to learn") == 2
+    assert err.splitlines()[0].endswith("anything")
+    shutil.rmtree(folder / "slices" / "0000")
+    monkeypatch.setattr(_Rows, "add_metrics", add)
+    run_study(settings, folder)
+    assert digests(folder) == digests(study)
 
 
 def test_a_finished_study_only_gathers(study, settings, monkeypatch):
@@ -314,12 +367,68 @@ def test_another_studys_folder_is_refused_and_the_difference_named(study, settin
         file.write("0 -2 0.7 -2\n5 -2.4 5 -3.2\n-5 -2 -5 -1.2\n")
 
 
-def test_a_study_that_goes_on_at_another_commit_says_so(study, settings, monkeypatch, capsys):
-    monkeypatch.setattr(study_directory, "git_commit", lambda: "f00df00d")
-    run_study(settings, study)
-    begun = json.loads((study / "study.json").read_text())["git_commit"]
-    if begun:  # the tests may run outside a checkout
-        assert f"begun at commit {begun[:7]} and goes on at f00df00" in capsys.readouterr().err
+def commits(folder):
+    texts = [path.read_text() for path in sorted((folder / "slices").glob("*/provenance.json"))]
+    return [json.loads(text)["git_commit"] for text in texts]
+
+
+def test_a_study_that_goes_on_at_another_commit_says_so_and_keeps_both(study, settings, tmp_path, capsys):
+    folder = tmp_path / "study"
+    shutil.copytree(study, folder)
+    began = json.loads((study / "study.json").read_text())
+    shutil.rmtree(folder / "slices" / "0001")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(provenance, "git_commit", lambda: "f00df00d-dirty")
+        run_study(settings, folder)
+    commit = began["git_commit"]
+    assert commits(folder) == [commit, "f00df00d-dirty", commit] and commits(study) == [commit] * 3
+    if commit:  # the tests may run outside a checkout
+        words = f"begun at commit {provenance.short_commit(commit)} and goes on at f00df00-dirty"
+        assert words in capsys.readouterr().err
+    assert digests(folder) == digests(study)
+    assert (folder / "study.json").read_bytes() == (study / "study.json").read_bytes()
+
+
+def test_slices_of_an_older_version_need_no_provenance(study, settings, tmp_path, monkeypatch):
+    monkeypatch.setattr("pecjax.experiments.study.make_program", None)
+    folder = tmp_path / "study"
+    shutil.copytree(study, folder)
+    for path in (folder / "slices").glob("*/SHA256SUMS"):
+        (path.parent / "provenance.json").unlink()
+        path.write_text("".join(line for line in path.read_text().splitlines(True) if ".csv" in line))
+    run_study(settings, folder)
+    assert digests(folder) == digests(study)
+
+
+def test_a_slice_with_an_empty_table_is_no_traceback(study, settings, tmp_path, monkeypatch):
+    monkeypatch.setattr("pecjax.experiments.study.make_program", None)
+    folder = tmp_path / "study"
+    shutil.copytree(study, folder)
+    path = folder / "slices" / "0001" / "metrics.csv"
+    sums = path.with_name("SHA256SUMS")
+    empty = hashlib.sha256(b"").hexdigest()
+    sums.write_text(sums.read_text().replace(hashlib.sha256(path.read_bytes()).hexdigest(), empty))
+    path.write_bytes(b"")
+    run_study(settings, folder)
+    assert len(pd.read_csv(folder / "metrics.csv")) == 4 * 3
+
+
+def test_a_study_that_begins_while_another_looks_at_the_folder_is_left_alone(settings, tmp_path, monkeypatch):
+    folder, free = tmp_path / "study", study_directory.plain_files.check_free
+
+    def look(path):
+        free(path)
+        monkeypatch.setattr(study_directory.plain_files, "check_free", free)
+        with monkeypatch.context() as patched:
+            patched.setattr("pecjax.experiments.study._make_slices", lambda *_: None)
+            run_study(replace(settings, seeds=(9,)), folder)
+
+    monkeypatch.setattr(study_directory.plain_files, "check_free", look)
+    with pytest.raises(pecjax.InputError, match=r"differs in settings.seeds|differs in seeds"):
+        run_study(settings, folder)
+    assert StudyDirectory(folder).settings().seeds == (9,)
+    with alone(folder), pytest.raises(pecjax.InputError, match="another process trains here"):
+        run_study(settings, folder)
 
 
 def test_what_else_lies_among_the_slices_is_left_alone(study, settings, tmp_path):

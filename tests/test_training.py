@@ -1,6 +1,8 @@
 """Whole runs, tiny ones: what they leave in their folder, and that it is true."""
 
 import json
+import os
+import re
 from dataclasses import replace
 
 import jax
@@ -11,7 +13,7 @@ from matplotlib.image import imread
 
 import pecjax
 from pecjax.agents.replay import ReplaySettings
-from pecjax.experiments import assembly, presets, run_figures, training
+from pecjax.experiments import assembly, devices, presets, run_figures, training
 from pecjax.experiments.checkpoint import Checkpoints
 from pecjax.experiments.evaluation import goal_ratios
 from pecjax.experiments.presets import PRESETS
@@ -230,7 +232,9 @@ def test_every_learner_is_kept_and_of_the_rest_the_newest_two(run):
     assert sorted(path.name for path in (folder / "states").iterdir()) == ["4.npz", "5.npz"]
 
 
-def test_a_run_of_apex_leaves_the_same_files_and_its_policy_can_be_had(folders, near_goals, capsys):
+def test_a_run_of_apex_leaves_the_same_files_and_its_policy_can_be_had(
+    folders, near_goals, capsys, monkeypatch
+):
     settings = presets.override(presets.find_preset(algorithm="apex"), num_envs=8, coordinates=near_goals)
     assert settings.apex.fragment * 8 == PRESETS["apex-fast"].apex.fragment * 512
     small = replace(settings.apex, num_steps=128, learning_starts=1024, replay=ReplaySettings(capacity=4096))
@@ -244,13 +248,20 @@ def test_a_run_of_apex_leaves_the_same_files_and_its_policy_can_be_had(folders, 
     assert (metrics.episodes > 0).all() and metrics.goal_ratio.between(0, 1).all()
     counts = pd.read_csv(folder / "configurations.csv")
     assert counts[counts.iteration == 3].trials.sum() == metrics.episodes.sum()
-    assert "replay: 1 MB" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "replay: 1 MB" in err and re.search(r"training goal ratio \d\.\d{3} of \d+ episode\(s\)", err)
     assert run_figures.draw_run(folder)
     directory = RunDirectory(folder)
     assert directory.settings() == settings
     _, again, iteration, learner = open_run(folder)
     flights = assembly.compile_evaluator(again, settings, learner)(learner)
     assert iteration == 3 and flights.goal.mean() == summary["uniform_evaluation"]["goal_ratio"]
+    # A policy is flown without its replay, however large: only a training needs room for it.
+    monkeypatch.setattr(devices.os, "sysconf", lambda name: 1)
+    with pytest.raises(pecjax.InputError, match="the replay takes"):
+        training.resume(replace(settings, iterations=9), folder)
+    for mine, theirs in zip(*map(jax.tree.leaves, (open_run(folder).learner, learner)), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
 
 
 def test_a_run_ends_once_its_goal_ratio_has_been_held(folders, near_goals):
@@ -263,6 +274,40 @@ def test_a_run_ends_once_its_goal_ratio_has_been_held(folders, near_goals):
     # It ends like any other: with an evaluation and a checkpoint.
     assert pd.read_csv(folders / "held" / "evaluation.csv").iteration.iloc[-1] == len(ratios)
     assert Checkpoints(folders / "held").iterations()[-1] == len(ratios)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "num_envs", "wanted", "words"),
+    [
+        ("ppo", 6, None, "6 environments on 3 of 4 devices; --num-envs 4 or 8 would use all of them"),
+        ("ppo", 3, None, "3 environments on 3 of 4 devices; --num-envs 4 would use all of them"),
+        ("ppo", 8, None, "8 environments on 4 of 4 devices"),
+        ("ppo", 8, 2, "8 environments on 2 of 4 devices"),
+        ("apex", 512, None, "512 environments on 2 of 4 devices; they share the work by its 2 replay shards"),
+    ],
+)
+def test_devices_that_stay_idle_are_named(algorithm, num_envs, wanted, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(training, "_begin", lambda session: (None, None))
+    monkeypatch.setattr(training, "loop", lambda *_: {})
+    settings = presets.override(presets.find_preset(algorithm=algorithm), num_envs=num_envs)
+    replay = replace(settings.apex.replay, num_shards=2)
+    settings = replace(settings, apex=replace(settings.apex, replay=replay))
+    training.train(settings, tmp_path / "run", wanted)
+    assert f"run: {words}\n" in capsys.readouterr().err
+
+
+def test_cores_are_counted_on_systems_that_tell_less(monkeypatch):
+    assert devices.num_cores() == len(os.sched_getaffinity(0))
+    monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.setattr(os, "cpu_count", lambda: 6)
+    monkeypatch.delattr(os, "process_cpu_count", raising=False)
+    assert devices.num_cores() == 6
+    monkeypatch.setattr(os, "process_cpu_count", lambda: 3, raising=False)
+    assert devices.num_cores() == 3
+    asked = {}
+    monkeypatch.setattr(devices.jax.config, "update", asked.__setitem__)
+    devices.use_all_cores()
+    assert asked == {"jax_num_cpu_devices": 3}
 
 
 def test_a_replay_that_cannot_fit_is_refused_before_anything_is_written(folders):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pecjax.commands.drawing import draw_map
+from pecjax.commands.options import Option
 from pecjax.experiments.assembly import load_world
 from pecjax.experiments.presets import RunSettings
 from pecjax.world.notices import world_notices
@@ -22,7 +23,7 @@ class Check:
         out: where the picture goes, as .png and .svg.
     """
 
-    scene: Path | None = None
+    scene: Option[Path] = None
     coordinates: str = "1"
     out: Path = Path("check")
 

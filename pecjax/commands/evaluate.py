@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from pecjax.commands.options import Option
 from pecjax.experiments import assembly, evaluation, presets, trained
 from pecjax.experiments.run_directory import RunDirectory
 
@@ -17,6 +18,9 @@ from pecjax.experiments.run_directory import RunDirectory
 @dataclass(frozen=True)
 class Eval:
     """Evaluates a checkpoint on a uniform draw of the run's configurations.
+
+    The evaluations in the run's own tables are of another seed and number (2022, and 200 in most presets):
+    they differ by chance, unless these are given here with --seed and --episodes.
 
     Attributes:
         folder: the run's folder.
@@ -28,7 +32,7 @@ class Eval:
     """
 
     folder: tyro.conf.Positional[Path]
-    checkpoint: int | None = None
+    checkpoint: Option[int] = None
     episodes: int = 50
     sampled: bool = False
     seed: int = 1

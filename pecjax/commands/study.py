@@ -5,15 +5,16 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import re
+import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import jax
 import tyro
 
 from pecjax.commands.drawing import draw
-from pecjax.errors import InputError
+from pecjax.commands.options import Option
+from pecjax.errors import DivergedError, InputError
 from pecjax.experiments import presets
 from pecjax.experiments.grid import StudySettings
 from pecjax.experiments.studies import find_study
@@ -28,8 +29,8 @@ class Study:
     Stopped at any moment, the same command goes on where it was.
 
     Attributes:
-        name: one of the paper's experiments: fig4 (PPO, set 1), fig8 (set 2), fig11 (α), fig14
-            (Ape-X). (default: a grid of your own)
+        name: one of the paper's experiments: fig4 (PPO, set 1), fig8 (set 2), fig11 (α) or
+            fig14 (Ape-X). (default: a grid of your own)
         scale: of a named study: smoke (seconds, to try it), laptop (our presets, for two cores) or
             paper (its iteration counts and RLlib's settings). (default: laptop)
         preset: the settings all runs share. (default: the study's; for a grid of your own, fast)
@@ -44,28 +45,40 @@ class Study:
         out: the study's folder. (default: studies/NAME-SCALE, or studies/own)
     """
 
-    name: Annotated[str | None, tyro.conf.Positional] = None
-    scale: str | None = None
-    preset: str | None = None
-    samplers: tuple[str, ...] | None = None
-    alphas: tuple[float, ...] | None = None
-    coordinates: tuple[str, ...] | None = None
-    seeds: tuple[str, ...] | None = None
-    iterations: int | None = None
-    evaluate_every: int | None = None
-    scene: str | None = None
-    at_once: int | None = None
-    out: Path | None = None
+    name: tyro.conf.Positional[Option[str]] = None
+    scale: Option[str] = None
+    preset: Option[str] = None
+    samplers: Option[tuple[str, ...]] = None
+    alphas: Option[tuple[float, ...]] = None
+    coordinates: Option[tuple[str, ...]] = None
+    seeds: Option[tuple[str, ...]] = None
+    iterations: Option[int] = None
+    evaluate_every: Option[int] = None
+    scene: Option[str] = None
+    at_once: Option[int] = None
+    out: Option[Path] = None
 
     def run(self) -> None:
         """Trains, summarizes and draws."""
         default = f"{self.name}-{self.scale or 'laptop'}" if self.name else "own"
         folder = self.out or Path("studies") / default
-        run_study(self._settings(folder), folder)
+        trial = f"{folder}: a smoke study tries the program out; its runs are too short to learn anything"
+        notice = trial if self.scale == "smoke" else None
+        try:
+            run_study(self._settings(folder), folder, notice)
+        except DivergedError:
+            if StudyDirectory(folder).has_rows():
+                self._report(folder, notice)
+            raise
+        self._report(folder, notice)
+
+    def _report(self, folder: Path, notice: str | None) -> None:
         report = importlib.import_module("pecjax.experiments.study_report")
         print(report.write_report(folder))
         draw(folder)
         print(f"{folder}: results.csv, runs.csv, summary.csv, paired.csv and figures/")
+        if notice:
+            print(f"pecjax: {notice}", file=sys.stderr)
 
     def _settings(self, folder: Path) -> StudySettings:
         study = self._base()
@@ -83,7 +96,10 @@ class Study:
             study.run, iterations=self.iterations, evaluate_every=self.evaluate_every, scene=self.scene
         )
         given = {name: value for name, value in changes.items() if value is not None}
-        return dataclasses.replace(study, run=run, **given)
+        settings = dataclasses.replace(study, run=run, **given)
+        if self.alphas and not any(map(presets.has_alpha, settings.samplers)):
+            raise InputError(f"samplers: {', '.join(settings.samplers)} has no alpha; leave out --alphas")
+        return settings
 
     def _base(self) -> StudySettings:
         """The study to begin from."""

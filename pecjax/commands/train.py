@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pecjax.commands.drawing import draw
+from pecjax.commands.options import Option
 from pecjax.errors import InputError
 from pecjax.experiments import presets, processes, training
 from pecjax.experiments.run_directory import RunDirectory
@@ -26,38 +27,38 @@ class Train:
         scene: a map and drone in MJCF. (default: the paper's six rooms)
         seed: of everything random in training. (default: 0)
         iterations: how many to train for. (default: the preset's)
-        until_goal_ratio: stops once the training goal ratio has reached it in so many iterations in a
-            row as patience says.
-        patience: see there. (default: 5)
+        until_goal_ratio: stops once --patience iterations in a row have reached this training goal
+            ratio.
+        patience: how many iterations in a row must have reached the goal ratio. (default: 5)
         num_envs: environments flown side by side. (default: the preset's)
         devices: how many share them. (default: all that divide them evenly)
         out: the run's folder. (default: a new one under runs/)
         sampled_evaluation: evaluates with drawn actions instead of the likeliest ones.
-        resume: goes on with the run in --out where it was stopped, or with more --iterations.
+        resume: resumes the run in --out where it was stopped, or with more --iterations.
         coordinator: where several processes share the training, given to all of them alike: HOST:PORT of
             the first, or auto under SLURM or Open MPI. (default: this process is alone)
         num_processes: how many there are; auto knows.
         process_id: which of them this is, from 0; auto knows.
     """
 
-    preset: str | None = None
-    algorithm: str | None = None
-    sampler: str | None = None
-    alpha: float | None = None
-    coordinates: str | None = None
-    scene: str | None = None
-    seed: int | None = None
-    iterations: int | None = None
-    until_goal_ratio: float | None = None
-    patience: int | None = None
-    num_envs: int | None = None
-    devices: int | None = None
-    out: Path | None = None
+    preset: Option[str] = None
+    algorithm: Option[str] = None
+    sampler: Option[str] = None
+    alpha: Option[float] = None
+    coordinates: Option[str] = None
+    scene: Option[str] = None
+    seed: Option[int] = None
+    iterations: Option[int] = None
+    until_goal_ratio: Option[float] = None
+    patience: Option[int] = None
+    num_envs: Option[int] = None
+    devices: Option[int] = None
+    out: Option[Path] = None
     sampled_evaluation: bool = False
     resume: bool = False
-    coordinator: str | None = None
-    num_processes: int | None = None
-    process_id: int | None = None
+    coordinator: Option[str] = None
+    num_processes: Option[int] = None
+    process_id: Option[int] = None
 
     def run(self) -> None:
         """Trains, then draws."""
@@ -83,6 +84,8 @@ class Train:
             patience=self.patience,
             greedy=False if self.sampled_evaluation else None,
         )
+        if self.alpha is not None and not presets.has_alpha(settings.sampler):
+            raise InputError(f"the sampler {settings.sampler} has no alpha; leave out --alpha")
         folder = self.out or Path("runs") / time.strftime(f"{settings.sampler}-%Y%m%d-%H%M%S")
         go = training.resume if self.resume else training.train
         summary = go(settings, folder, self.devices)

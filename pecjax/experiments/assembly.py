@@ -65,8 +65,13 @@ def make_agent(
     return ppo.make(env, table, sampler, settings.ppo, axis_name)
 
 
-def build(settings: RunSettings, scene: Scene, table: Configurations, num_devices: int) -> Run:
+def build(
+    settings: RunSettings, scene: Scene, table: Configurations, num_devices: int, *, trains: bool = True
+) -> Run:
     """Puts world, curriculum and learner together, spread over devices.
+
+    Args:
+        trains: makes sure that memory can hold the replay; a policy that is only flown needs none.
 
     Raises:
         InputError: settings that are absurd or do not fit one another, or images or a replay that
@@ -79,7 +84,8 @@ def build(settings: RunSettings, scene: Scene, table: Configurations, num_device
     sampler = SAMPLERS[settings.sampler](table.size, settings.alpha)
     mesh = fleet_mesh(num_devices)
     agent = make_agent(settings, env, table, sampler, AXIS)
-    check_memory(agent.replay_bytes, num_devices)
+    if trains:
+        check_memory(agent.replay_bytes, num_devices)
     return Run(env, table, sampler, shard(agent, mesh), mesh)
 
 

@@ -18,7 +18,15 @@ def use_all_cores() -> None:
     there is one, is used as ever.
     """
     with contextlib.suppress(RuntimeError):  # JAX has begun, and keeps the devices that it has
-        jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+        jax.config.update("jax_num_cpu_devices", num_cores())
+
+
+def num_cores() -> int:
+    """How many CPU cores this process may use, as far as the system tells."""
+    count = getattr(os, "process_cpu_count", None)  # since Python 3.13
+    if count is None and hasattr(os, "sched_getaffinity"):  # not on macOS
+        return len(os.sched_getaffinity(0))
+    return (count or os.cpu_count)() or 1
 
 
 def keep_compiled_programs() -> str:
@@ -57,6 +65,22 @@ def choose_num_devices(wanted: int | None, shares: int) -> int:
             "change either"
         )
     return wanted
+
+
+def advice_on_idle_devices(num_envs: int, shares: int, num_devices: int) -> str:
+    """How all devices could be used where the number of equal parts leaves some idle, else nothing.
+
+    Args:
+        shares: as in `choose_num_devices`.
+    """
+    available = len(jax.devices())
+    if num_devices == available or shares % available == 0:
+        return ""
+    if shares != num_envs:
+        return f"; they share the work by its {shares} replay shards"
+    below = num_envs // available * available
+    near = [str(number) for number in (below, below + available) if number]
+    return f"; --num-envs {' or '.join(near)} would use all of them"
 
 
 def check_memory(needed: int, num_devices: int, what: str = "the replay takes") -> None:

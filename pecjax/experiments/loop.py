@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -67,6 +67,12 @@ def is_counted(settings: RunSettings, iteration: int) -> bool:
     return iteration == 1 or iteration % settings.configurations_every == 0
 
 
+def streak(goal_ratios: Sequence[float], threshold: float | None) -> int:
+    """How many of the last training goal ratios in a row reach the threshold; 0 where it is None."""
+    missed = [threshold is None or not ratio >= threshold for ratio in reversed(goal_ratios)]
+    return missed.index(True) if True in missed else len(missed)
+
+
 def loop(session: Session, here: Position, iterate: Iterate) -> dict[str, Any]:
     """Iterates from a position to the end, and returns the content of summary.json.
 
@@ -91,8 +97,7 @@ def loop(session: Session, here: Position, iterate: Iterate) -> dict[str, Any]:
         counts = counts + metrics.counts
         row = tables.metrics_row(iteration, run.agent.steps_per_iteration, clock.seconds(), metrics)
         directory.append("metrics.csv", [row])
-        goal_ratio = settings.until_goal_ratio
-        held = held + 1 if goal_ratio is not None and row["goal_ratio"] >= goal_ratio else 0
+        held = held + 1 if streak([row["goal_ratio"]], settings.until_goal_ratio) else 0
         last = iteration == settings.iterations or held == settings.patience
         if last or is_counted(settings, iteration):
             drawn_with = np.asarray(probabilities(state.sampler))
@@ -113,8 +118,9 @@ def loop(session: Session, here: Position, iterate: Iterate) -> dict[str, Any]:
                 f"{'greedy' if settings.greedy else 'sampled'} episodes of a uniform draw"
             )
         rate = row["env_steps"] / clock.seconds()
-        ended = f"{row['goal_ratio']:.3f}" if metrics.watched.any() else "not known yet"
-        progress.advance(1, f"training goal ratio {ended}, {rate:,.0f} steps/s")
+        ended = int(metrics.watched[0])
+        ratio = f"{row['goal_ratio']:.3f} of {ended} episode(s)" if ended else "not known yet"
+        progress.advance(1, f"training goal ratio {ratio}, {rate:,.0f} steps/s")
         asked = greatest(interruption.asked or 0)
         summary = _summary(settings, row, evaluated, clock) if last else {}
         if last:

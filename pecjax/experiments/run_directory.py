@@ -10,10 +10,11 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from pecjax.errors import InputError
 from pecjax.experiments import plain_files
 from pecjax.experiments.presets import RunSettings
 from pecjax.experiments.processes import by_the_lead
-from pecjax.experiments.provenance import environment_facts
+from pecjax.experiments.provenance import FACTS, session_facts
 from pecjax.world.coordinates import Configurations, load_coordinates
 
 HOW_LONG = ("iterations", "until_goal_ratio", "patience")  # settings that no iteration depends on
@@ -34,14 +35,20 @@ class RunDirectory:
     def create(
         self, settings: RunSettings, scene_path: Path, table: Configurations, num_devices: int
     ) -> None:
-        """Writes what the run depends on: settings, map and coordinates."""
+        """Writes what the run depends on: settings, map and coordinates.
+
+        Raises:
+            InputError: another run or study has begun in the folder, or it cannot be written.
+        """
         scene = plain_files.scene_text(scene_path)
         with plain_files.writing(self.folder, "choose another --out"):
             self.folder.mkdir(parents=True, exist_ok=True)
-            (self.folder / "figures").mkdir()
-            self.scene_path.write_text(scene)
-            (self.folder / "coordinates.csv").write_text(plain_files.coordinates_text(table))
-            self.record(settings, num_devices)
+            with plain_files.alone(self.folder):  # whoever else begins here at this moment is refused
+                plain_files.check_free(self.folder)
+                (self.folder / "figures").mkdir()
+                self.scene_path.write_text(scene)
+                (self.folder / "coordinates.csv").write_text(plain_files.coordinates_text(table))
+                self.record(settings, num_devices)
 
     def settings(self) -> RunSettings:
         """Reads the settings back.
@@ -63,17 +70,45 @@ class RunDirectory:
         with path.open("a", newline="") as file:
             file.write(text)
 
+    def column(self, name: str, column: str, keep: Callable[[int], bool]) -> list[float]:
+        """One column of a table, of the iterations that are wanted; NaN where a figure is missing.
+
+        Raises:
+            InputError: the table has no such column, or something else than numbers in it.
+        """
+        header, rows = self._read(name)
+        if not rows:
+            return []
+        place = _place(self.folder / name, header, column)
+        try:
+            return [float(row[place] or "nan") for iteration, row in rows if keep(iteration)]
+        except ValueError as error:
+            raise InputError(f"{self.folder / name}: column {column} is damaged ({error})") from error
+
     @by_the_lead
     def roll_back(self, name: str, keep: Callable[[int], bool]) -> None:
-        """Keeps only the whole rows of those iterations that are wanted."""
+        """Keeps only the whole rows of those iterations that are wanted.
+
+        Raises:
+            InputError: the table has no column of iterations.
+        """
+        header, rows = self._read(name)
+        if header:
+            kept = [",".join(row) + "\n" for iteration, row in rows if keep(iteration)]
+            plain_files.replace_file(self.folder / name, ",".join(header) + "\n" + "".join(kept))
+        else:
+            self.remove(name)
+
+    def _read(self, name: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
+        """A table's header and its whole rows by iteration; none where it lacks a whole first line."""
         path = self.folder / name
-        if not path.exists():
-            return
-        header, *rows = path.read_text().splitlines(keepends=True)
-        place, number = header.split(",").index("iteration"), header.count(",")
-        whole = [row.split(",") for row in rows if row.endswith("\n") and row.count(",") == number]
-        kept = [",".join(row) for row in whole if keep(int(row[place]))]
-        plain_files.replace_file(path, header + "".join(kept))
+        text = path.read_text(errors="replace") if path.is_file() else ""
+        whole = [line.split(",") for line in text.split("\n")[:-1]]
+        if not whole or whole[0] == [""]:
+            return [], []
+        header, *rows = whole
+        place = _place(path, header, "iteration")
+        return header, [(int(r[place]), r) for r in rows if len(r) == len(header) and r[place].isdecimal()]
 
     @by_the_lead
     def remove(self, *names: str) -> None:
@@ -86,17 +121,28 @@ class RunDirectory:
         """Writes one JSON object."""
         plain_files.replace_file(self.folder / name, plain_files.json_text(content))
 
-    def record(self, settings: RunSettings, num_devices: int) -> None:
-        """Writes config.json."""
-        config = {"settings": dataclasses.asdict(settings)} | environment_facts(num_devices)
+    @by_the_lead
+    def record(self, settings: RunSettings, num_devices: int, from_iteration: int = 0) -> None:
+        """Writes config.json: the settings, the facts when the run began, and one more session."""
+        session = session_facts(num_devices, from_iteration)
+        facts = {name: session[name] for name in FACTS}
+        sessions = []
+        if from_iteration:
+            before = self._config()
+            facts = {name: before.get(name) for name in FACTS}
+            sessions = _sessions(before)
+        config = {"settings": dataclasses.asdict(settings)} | facts | {"sessions": [*sessions, session]}
         self.write_json("config.json", config)
 
     def num_devices(self) -> int | None:
-        """How many devices the run was begun on, where its config.json says so."""
+        """How many devices the run was last trained on, where its config.json says so."""
         try:
-            return int(json.loads((self.folder / "config.json").read_text())["devices"]["used"])
+            return int(_sessions(self._config())[-1]["devices"]["used"])
         except (OSError, ValueError, KeyError, TypeError):
             return None
+
+    def _config(self) -> dict[str, Any]:
+        return json.loads((self.folder / "config.json").read_text())
 
     def differences(self, settings: RunSettings) -> list[str]:
         """What a run that goes on with these settings would do otherwise than before."""
@@ -110,6 +156,20 @@ class RunDirectory:
             "coordinates.csv": hashlib.sha256((self.folder / "coordinates.csv").read_bytes()).hexdigest(),
             "version": importlib.metadata.version("pecjax"),
         }
+
+
+def _sessions(config: dict[str, Any]) -> list[dict[str, Any]]:
+    """The sessions that a config.json lists; older ones only have the facts of the last."""
+    sessions = config.get("sessions")
+    if isinstance(sessions, list) and sessions:
+        return sessions
+    return [{"from_iteration": 0, "started": None} | {name: config.get(name) for name in FACTS}]
+
+
+def _place(path: Path, header: list[str], column: str) -> int:
+    if column not in header:
+        raise InputError(f"{path}: has no column {column}; restore the file or train anew in another folder")
+    return header.index(column)
 
 
 def _what_matters(settings: RunSettings) -> dict[str, Any]:

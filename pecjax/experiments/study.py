@@ -19,38 +19,49 @@ from pecjax.experiments.evaluation import Flights
 from pecjax.experiments.grid import Member, StudySettings
 from pecjax.experiments.interruption import Interruption
 from pecjax.experiments.measures import cvar
-from pecjax.experiments.plain_files import Row, alone, exact_text, writing
+from pecjax.experiments.plain_files import Row, exact_text, writing
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.study_directory import StudyDirectory, Tables, World
 from pecjax.experiments.study_program import Program, make_program
 from pecjax.world.notices import world_notices
 
 
-def run_study(settings: StudySettings, folder: Path) -> None:
+def run_study(settings: StudySettings, folder: Path, notice: str | None = None) -> None:
     """Makes every run of a study that its folder does not hold yet.
 
     A slice is written when it is whole, and so a study that is stopped goes on with the slice it
-    was at; its tables end as if it had never stopped.
+    was at; its tables end as if it had never stopped. A run that diverges is left out of the tables
+    and not repeated; all others are made.
+
+    Args:
+        notice: a line to print first.
 
     Raises:
         InputError: anything the user can put right, such as a folder of another study.
         StoppedError: a signal asked for it.
-        DivergedError: a run's figure that is not finite.
+        DivergedError: some runs diverged; all that can be made is there.
     """
     settings.check()
     worlds = {
         name: load_world(dataclasses.replace(settings.run, coordinates=name)) for name in settings.coordinates
     }
     directory = StudyDirectory(folder)
-    directory.open(settings, worlds, len(jax.devices()))
     runs = sum(map(len, settings.slices()))
     with (
-        alone(folder),
+        directory.open(settings, worlds, len(jax.devices())),
         writing(folder, "the same command goes on once it can"),
         Progress(runs * settings.run.iterations) as progress,
         Interruption() as interruption,
     ):
+        if notice:
+            progress.say(notice)
         _make_slices(settings, worlds, directory, progress, interruption)
+    diverged = directory.diverged(len(settings.slices()))
+    if diverged:
+        raise DivergedError(
+            f"{folder}: {len(diverged)} of {runs} runs diverged and are not in its tables; "
+            f"{'; '.join(diverged[:3])}{'; …' if len(diverged) > 3 else ''}"
+        )
 
 
 def _make_slices(
@@ -77,7 +88,8 @@ def _make_slices(
         if key not in programs:
             _, scene, table = worlds[first.coordinates]
             programs[key] = make_program(settings.settings_of(first), scene, table, len(members))
-        directory.write_slice(number, _train(settings, members, programs[key], progress, interruption))
+        finished, diverged = _train(settings, members, programs[key], progress, interruption)
+        directory.write_slice(number, finished, diverged)
         directory.gather(len(slices))
     directory.gather(len(slices))
 
@@ -88,14 +100,14 @@ def _train(
     program: Program,
     progress: Progress,
     interruption: Interruption,
-) -> Tables:
-    """Trains the runs of one slice from their beginning to their end."""
+) -> tuple[Tables, list[str]]:
+    """Trains the runs of one slice to their end: their rows, and in words those that diverged."""
     run = settings.run
     seeds = np.array([member.seed for member in members], np.int32)
     alphas = np.array([settings.settings_of(member).alpha for member in members], np.float32)
     rows = [_Rows(settings, member, program.steps_per_iteration) for member in members]
     states = program.init(seeds, alphas)
-    done = 0
+    done, diverged = 0, []
     while done < run.iterations:
         begun = time.perf_counter()
         number = min(run.evaluate_every, run.iterations - done)
@@ -110,6 +122,9 @@ def _train(
             for iteration, metrics in enumerate(fetched, done + 1):
                 of_run.add_metrics(iteration, _of_run(metrics, place))
             of_run.add_evaluation(done + number, _of_run(flights, place))
+            if of_run.diverged and of_run.diverged not in diverged:
+                diverged.append(of_run.diverged)
+                progress.say(f"{of_run.diverged}; the other runs continue")
         done += number
         steps = len(members) * number * program.steps_per_iteration
         rate = steps / (time.perf_counter() - begun)
@@ -117,9 +132,13 @@ def _train(
             len(members) * number,
             f"goal ratio {flights.goal.mean():.3f}, {rate:,.0f} steps/s with evaluation",
         )
+        if len(diverged) == len(rows):
+            progress.skip(len(members) * (run.iterations - done))
+            break
         if done < run.iterations:  # a slice that is whole is kept first
             _stop_if_asked(interruption)
-    return {name: [row for of_run in rows for row in of_run.tables[name]] for name in StudyDirectory.TABLES}
+    whole = [of_run.tables for of_run in rows if not of_run.diverged]
+    return {name: [row for one in whole for row in one[name]] for name in StudyDirectory.TABLES}, diverged
 
 
 def _stop_if_asked(interruption: Interruption) -> None:
@@ -146,12 +165,11 @@ class _Rows:
         self._counts: Any = 0
         self._since_evaluation: list[float] = []
         self.tables: Tables = {name: [] for name in StudyDirectory.TABLES}
+        self.diverged = ""  # which run, when and where, once it has
 
     def add_metrics(self, iteration: int, metrics: Metrics) -> None:
-        if metrics.broken:
-            raise DivergedError(
-                f"{self._run}: at iteration {iteration} not finite: {', '.join(metrics.broken)}"
-            )
+        if metrics.broken and not self.diverged:
+            self.diverged = f"{self._run}: at iteration {iteration} not finite: {', '.join(metrics.broken)}"
         row = tables.metrics_row(iteration, self._batch, 0.0, metrics)
         kept = ("iteration", "env_steps", "goal_ratio", "episodes", "mean_return")
         self.tables["metrics"].append(self._head | {name: row[name] for name in kept})

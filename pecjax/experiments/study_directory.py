@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from pecjax.errors import InputError
 from pecjax.experiments import plain_files
 from pecjax.experiments.grid import StudySettings
-from pecjax.experiments.provenance import environment_facts, git_commit
+from pecjax.experiments.provenance import environment_facts, short_commit
 from pecjax.world.coordinates import Configurations, load_coordinates
 from pecjax.world.scene import Scene
 
 World = tuple[Path, Scene, Configurations]  # of one set of coordinates
 Tables = dict[str, list[plain_files.Row]]  # rows by the name of their table
 _SUMS = "SHA256SUMS"
+_PROVENANCE = "provenance.json"  # of a slice; no times in it: the same code writes the same bytes
+_DIVERGED = "diverged.txt"  # of a slice, where some of its runs are not in its tables
 
 
 class StudyDirectory:
@@ -38,6 +41,7 @@ class StudyDirectory:
         self.scene_path = folder / "scene.xml"
         self._slices = folder / "slices"
         self._begun = folder / ".study.json.new"
+        self._facts: dict[str, Any] = {}
 
     def settings(self) -> StudySettings:
         """Reads the settings back.
@@ -54,27 +58,37 @@ class StudyDirectory:
     def _coordinates_path(self, coordinates: str) -> Path:
         return self.folder / f"coordinates-{Path(coordinates).stem}.csv"
 
-    def open(self, settings: StudySettings, worlds: dict[str, World], num_devices: int) -> None:
-        """Begins a study, or makes sure that the folder holds this very one.
+    @contextlib.contextmanager
+    def open(self, settings: StudySettings, worlds: dict[str, World], num_devices: int) -> Iterator[None]:
+        """Begins a study, or makes sure that the folder holds this very one; locks it while entered.
 
         Raises:
             InputError: the folder holds something else (another study, or this one begun with other
-                settings, another map or other versions), or cannot be written.
+                settings, another map or other versions), another process writes into it, or it
+                cannot be written.
         """
-        content = {"settings": dataclasses.asdict(settings)} | environment_facts(num_devices)
+        self._facts = environment_facts(num_devices)
+        content = {"settings": dataclasses.asdict(settings)} | self._facts
         files = {"scene.xml": plain_files.scene_text(next(iter(worlds.values()))[0])}
         for coordinates, (_, _, table) in worlds.items():
             files[self._coordinates_path(coordinates).name] = plain_files.coordinates_text(table)
-        if (self.folder / "study.json").is_file():
-            self._compare(json.loads(plain_files.json_text(content)), files)
-        else:
-            if not self._begun.exists():
-                plain_files.check_free(self.folder)
-            self._create(content, files)
+        self._check_free()  # before the folder is made, which the lock needs
+        with plain_files.writing(self.folder, "choose another --out"):
+            self.folder.mkdir(parents=True, exist_ok=True)
+        with plain_files.alone(self.folder):
+            self._check_free()  # another study may have begun here meanwhile
+            if (self.folder / "study.json").is_file():
+                self._compare(json.loads(plain_files.json_text(content)), files)
+            else:
+                self._create(content, files)
+            yield
+
+    def _check_free(self) -> None:
+        if not (self.folder / "study.json").is_file() and not self._begun.exists():
+            plain_files.check_free(self.folder)
 
     def _create(self, content: dict[str, Any], files: dict[str, str]) -> None:
         with plain_files.writing(self.folder, "choose another --out"):
-            self.folder.mkdir(parents=True, exist_ok=True)
             # Begins as another file: a study that is killed meanwhile knows its folder again.
             self._begun.write_text(plain_files.json_text(content))
             self._slices.mkdir(exist_ok=True)
@@ -115,9 +129,13 @@ class StudyDirectory:
                 yield f"{path}: not as it was written; made again"
         there = len(self._held(number))
         yield f"{self.folder}: {there} of {number} slices are there"
-        begun, now = json.loads((self.folder / "study.json").read_text()).get("git_commit"), git_commit()
+        begun = json.loads((self.folder / "study.json").read_text()).get("git_commit")
+        now = self._facts["git_commit"]
         if there and begun and now and begun != now:
-            yield f"{self.folder}: begun at commit {begun!s:.7} and goes on at {now:.7}; what is there stays"
+            yield (
+                f"{self.folder}: begun at commit {short_commit(str(begun))} and goes on at "
+                f"{short_commit(now)}; what is there stays"
+            )
 
     def holds(self, number: int) -> bool:
         """Whether that slice is finished."""
@@ -126,17 +144,37 @@ class StudyDirectory:
     def _slice_path(self, number: int) -> Path:
         return self._slices / f"{number:04}"
 
-    def write_slice(self, number: int, tables: Tables) -> None:
-        """Writes a finished slice, whole or not at all."""
+    def write_slice(self, number: int, tables: Tables, diverged: Sequence[str] = ()) -> None:
+        """Writes a finished slice, whole or not at all, and what it was made by.
+
+        Args:
+            tables: of the runs that came to their end.
+            diverged: the others, in words.
+        """
         new = self._slices / f".{number:04}"
         new.mkdir()
-        sums = []
-        for name in self.TABLES:
-            text = plain_files.csv_text(tables[name])
-            (new / f"{name}.csv").write_text(text)
-            sums.append(f"{hashlib.sha256(text.encode()).hexdigest()}  {name}.csv\n")
+        files = {f"{name}.csv": plain_files.csv_text(tables[name]) for name in self.TABLES}
+        files[_PROVENANCE] = plain_files.json_text(self._facts)
+        if diverged:
+            files[_DIVERGED] = "".join(f"{line}\n" for line in diverged)
+        for name, text in files.items():
+            (new / name).write_text(text)
+        sums = [f"{hashlib.sha256(text.encode()).hexdigest()}  {name}\n" for name, text in files.items()]
         (new / _SUMS).write_text("".join(sums))
         os.replace(new, self._slice_path(number))
+
+    def diverged(self, number: int) -> list[str]:
+        """The runs of so many slices that diverged, in words, and how to try them again."""
+        return [
+            f"{line} (remove {path.parent} to try again)"
+            for path in (slice_ / _DIVERGED for slice_ in self._held(number))
+            if path.is_file()
+            for line in path.read_text().splitlines()
+        ]
+
+    def has_rows(self) -> bool:
+        """Whether a run has come to its end: whether the tables say anything."""
+        return bool((self.folder / "results.csv").read_text().strip())
 
     def _held(self, number: int) -> list[Path]:
         return [self._slice_path(n) for n in range(number) if self.holds(n)]
@@ -144,10 +182,10 @@ class StudyDirectory:
     def gather(self, number: int) -> None:
         """Writes the tables anew from those of so many slices that are there, in their order."""
         for name in self.TABLES:
-            texts = [(path / f"{name}.csv").read_text().split("\n", 1) for path in self._held(number)]
+            texts = [(path / f"{name}.csv").read_text().partition("\n") for path in self._held(number)]
             # Coordinate sets of several sizes have as many columns: the longest header serves all.
-            header = max((head for head, _ in texts), key=len, default="")
-            rows = "".join(rows for _, rows in texts)
+            header = max((head for head, _, _ in texts), key=len, default="")
+            rows = "".join(rows for _, _, rows in texts)
             plain_files.replace_file(self.folder / f"{name}.csv", f"{header}\n{rows}")
 
 
@@ -159,4 +197,5 @@ def _is_whole(path: Path) -> bool:
         found = {name: hashlib.sha256((path / name).read_bytes()).hexdigest() for name in sums}
     except (OSError, ValueError):
         return False
-    return found == sums and set(sums) == {f"{name}.csv" for name in StudyDirectory.TABLES}
+    tables = {f"{name}.csv" for name in StudyDirectory.TABLES}
+    return found == sums and tables <= set(sums) <= tables | {_PROVENANCE, _DIVERGED}

@@ -44,6 +44,6 @@ def open_run(folder: Path, checkpoint: int | None = None) -> Trained:
     settings = directory.settings()
     num_devices = choose_num_devices(None, settings.learner.shares)
     scene = load_scene(directory.scene_path, settings.resolution)
-    run = build(settings, scene, directory.table(), num_devices)
+    run = build(settings, scene, directory.table(), num_devices, trains=False)
     iteration, learner = Checkpoints(folder).load_learner(abstract_state(run).learner, checkpoint)
     return Trained(settings, run, iteration, learner)

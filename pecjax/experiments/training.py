@@ -1,4 +1,4 @@
-"""Training: a run begun, or taken up where it was stopped."""
+"""Training: a run from scratch, or resumed where it was stopped."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pecjax.agents.agent import TrainState
 from pecjax.errors import InputError
 from pecjax.experiments.assembly import Run, abstract_state, build, load_world
 from pecjax.experiments.checkpoint import Checkpoints, Position
-from pecjax.experiments.devices import choose_num_devices
+from pecjax.experiments.devices import advice_on_idle_devices, choose_num_devices
 from pecjax.experiments.interruption import Interruption
-from pecjax.experiments.loop import Clock, Iterate, Session, is_counted, is_evaluated, loop
+from pecjax.experiments.loop import Clock, Iterate, Session, is_counted, is_evaluated, loop, streak
 from pecjax.experiments.plain_files import alone, check_free, writing
 from pecjax.experiments.presets import RunSettings, check_settings
 from pecjax.experiments.processes import ending_together, together
@@ -106,7 +106,10 @@ def _go(settings: RunSettings, directory: RunDirectory, num_devices: int, resume
         scene = load_scene(directory.scene_path, settings.resolution)
         run = build(settings, scene, directory.table(), num_devices)
     with alone(folder), Progress(settings.iterations) as progress, Interruption() as interruption:
-        progress.say(f"{folder}: {settings.learner.num_envs} environments on {num_devices} device(s)")
+        learner, available = settings.learner, len(jax.devices())
+        advice = "" if resumed else advice_on_idle_devices(learner.num_envs, learner.shares, num_devices)
+        on = f"{num_devices} of {available} devices{advice}" if available > 1 else "1 device"
+        progress.say(f"{folder}: {learner.num_envs} environments on {on}")
         for line in world_notices(scene, run.table):
             progress.say(f"notice: {line}")
         if run.agent.replay_bytes:
@@ -127,22 +130,36 @@ def _begin(session: Session) -> tuple[Position, Iterate]:
 def _go_on(session: Session) -> tuple[Position, Iterate]:
     """The newest position to go on from; the tables are rolled back to it."""
     settings, run, directory, progress, _, clock = session
-    checkpoints = Checkpoints(directory.folder, directory.identity())
+    folder = directory.folder
+    checkpoints = Checkpoints(folder, directory.identity())
     here, said = checkpoints.load_position(Position.make(abstract_state(run), 0, _no_counts(run), 0, 0.0))
     for line in said:
         progress.say(line)
     done = int(here.iteration)
-    if done >= settings.iterations or here.held >= settings.patience:
+    if done >= settings.iterations:
+        raise InputError(f"{folder}: already finished at iteration {done}; give a greater --iterations")
+    held = 0
+    if settings.until_goal_ratio is not None:  # it may be another than before: what `here` counted is stale
+        ratios = directory.column("metrics.csv", "goal_ratio", lambda row: row <= done)
+        held = streak(ratios, settings.until_goal_ratio)
+    if held >= settings.patience:
         raise InputError(
-            f"{directory.folder}: has come to its end at iteration {done}; "
-            "give a greater --iterations to go on"
+            f"{folder}: already finished at iteration {done}: the last {held} iterations reached a goal "
+            f"ratio of {settings.until_goal_ratio:g}; give a higher --until-goal-ratio or more --patience"
         )
+    here = here._replace(held=np.array(held))
     # What only the end of a shorter run had written is not in the tables of a longer one.
-    directory.record(settings, run.mesh.devices.size)
     directory.remove("summary.json", "trajectories.csv")
-    directory.roll_back("metrics.csv", lambda row: row <= done)
-    directory.roll_back("evaluation.csv", lambda row: row <= done and is_evaluated(settings, row))
-    directory.roll_back("configurations.csv", lambda row: row <= done and is_counted(settings, row))
+    for name, keep in (
+        ("metrics.csv", lambda row: row <= done),
+        ("evaluation.csv", lambda row: row <= done and is_evaluated(settings, row)),
+        ("configurations.csv", lambda row: row <= done and is_counted(settings, row)),
+    ):
+        before = (folder / name).exists()
+        directory.roll_back(name, keep)
+        if before and not (folder / name).exists():
+            progress.say(f"{folder / name}: had no whole first line; begins again after iteration {done}")
+    directory.record(settings, run.mesh.devices.size, from_iteration=done)
     checkpoints.forget_after(done, settings.evaluate_every)
     progress.say(f"goes on after iteration {done}")
     progress.skip(done)
