@@ -1,27 +1,37 @@
 # What a newcomer needs; everything goes into .venv, from the versions in requirements.lock.
-PYTHON ?= python3.11
-BIN := .venv/bin
+# PYTHON: the newest supported Python that runs here, unless given: make train PYTHON=python3.12
+SUPPORTED := python3.13 python3.12 python3.11
+PYTHON ?= $(or $(firstword $(foreach name,$(SUPPORTED),$(shell $(name) -c 'print("$(name)")' 2>/dev/null))),\
+	$(error no Python 3.11 to 3.13 here; install one, or name it by PYTHON=...))
+VENV ?= .venv
+BIN := $(VENV)/bin
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
-.PHONY: train test lint lock
+.PHONY: train test test-slow lint lock
 
-train: .venv/installed
+train: $(VENV)/installed
 	$(BIN)/pecjax train
 
-test: .venv/installed
-	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+# The core suite: minutes.
+test: $(VENV)/installed
+	$(PYTEST)
 
-lint: .venv/installed
+# Processes, kills, fuzz, notebooks, whole trainings and studies.
+test-slow: $(VENV)/installed
+	$(PYTEST) -m slow
+
+lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/lint-imports
 
-.venv/installed: requirements.lock pyproject.toml
-	$(PYTHON) -m venv .venv
+$(VENV)/installed: requirements.lock pyproject.toml
+	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --requirement requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --editable .
 	touch $@
 
 # Needs uv; run it after a change of the dependencies in pyproject.toml.
 lock:
-	uv pip compile --quiet --universal --python-version 3.11 --extra dev --output-file requirements.lock pyproject.toml
+	uv pip compile --quiet --universal --python-version 3.11 --extra dev --upgrade --output-file requirements.lock pyproject.toml

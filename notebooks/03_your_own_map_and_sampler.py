@@ -35,8 +35,8 @@ from pecjax.experiments import presets, study_figures, study_report
 from pecjax.experiments.studies import find_study
 from pecjax.experiments.study import run_study
 from pecjax.world import load_coordinates, load_scene
-from pecjax.world.coordinates import check_coordinates
 from pecjax.world.scene import default_scene_path
+from pecjax.world.validity import check_coordinates
 
 # %% [markdown]
 # ## A new map

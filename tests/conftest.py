@@ -1,16 +1,29 @@
 """Fixtures shared by the tests: scenes, an environment, and maps made by editing the shipped one."""
 
+from pathlib import Path
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 import pecjax
+from pecjax.world import navigation
+from pecjax.world.clearance import wall_distance
+from pecjax.world.flight import DroneState
+from pecjax.world.rotations import heading, heading_to_quaternion
 from pecjax.world.scene import ENDLESS, default_scene_path
 
 # The tests of several devices need four, and CPUs can pretend to be. JAX has not started yet: importing
 # pecjax does not (`test_architecture.py`).
 jax.config.update("jax_num_cpu_devices", 4)
+
+# What one test has compiled serves the others, those of other processes and the next run of the tests:
+# JAX tells programs apart by what they are. An entry that is being written is compiled again.
+COMPILED = Path(__file__).parents[1] / ".pytest_cache" / "pecjax" / "compiled"
+jax.config.update("jax_compilation_cache_dir", str(COMPILED))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.config.update("jax_logging_level", "CRITICAL")  # see `devices.keep_compiled_programs`
 
 # Differs from rooms.xml in all that a map may choose: a floor, walls that hang in bodies or are turned
 # by right angles, something there only for show, and another drone with another camera.
@@ -120,13 +133,25 @@ def step(env):
     return jax.jit(env.step)
 
 
+def glide(scene, gains, state, command, num_steps):
+    """`flight.fly` without physics: the drone takes on the speed and the yaw rate at once."""
+    period = num_steps * scene.model.opt.timestep
+    looking = heading(state.qpos[3:]) + period * command.yaw_rate
+    velocity = command.speed * jnp.stack([jnp.cos(looking), jnp.sin(looking), jnp.zeros_like(looking)])
+    position = state.qpos[:3] + period * velocity
+    qpos = jnp.concatenate([position, heading_to_quaternion(looking)])
+    return DroneState(qpos, jnp.concatenate([velocity, jnp.zeros(3)])), wall_distance(scene, position)
+
+
+@pytest.fixture(scope="module")
+def gliding():
+    """For tests of what happens around flights: their programs compile in less than half the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(navigation, "fly", glide)
+        yield
+
+
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    """Where runs go; what is compiled for one of them is kept for the next."""
-    folder = tmp_path_factory.mktemp("runs")
-    before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", str(folder / "compiled"))
-    reset_cache()  # JAX asks only once whether there is one
-    yield folder
-    jax.config.update("jax_compilation_cache_dir", before)
-    reset_cache()
+    """Where runs go."""
+    return tmp_path_factory.mktemp("runs")

@@ -29,8 +29,8 @@ from pecjax.experiments.run_directory import RunDirectory
 from pecjax.experiments.run_figures import _COLUMNS
 from pecjax.experiments.study_directory import StudyDirectory
 from pecjax.world import load_coordinates, load_scene
-from pecjax.world.coordinates import check_coordinates
 from pecjax.world.scene import default_scene_path
+from pecjax.world.validity import check_coordinates
 
 SECONDS = 20  # of processor time that one input may take, whatever else the machine does
 PATIENCE = 300  # seconds by the clock after which it counts as hung
@@ -123,9 +123,9 @@ def run_input(folder: Path, rng: random.Random, run: Path) -> None:
 
 
 def mutate_bytes(content: bytes, rng: random.Random) -> bytes:
-    """One to four changes: bytes, numbers of a header, pieces cut out or doubled."""
+    """Up to four changes: bytes, numbers of a header, pieces cut out or doubled."""
     changed = bytearray(content)
-    for _ in range(rng.randint(1, 4)):
+    for _ in range(rng.randint(0, 4)):
         first = rng.randrange(len(changed) + 1)
         last = min(len(changed), first + rng.choice([1, 2, 4, 8, 100]))
         kind = rng.randrange(6)

@@ -33,17 +33,17 @@ def write_study(folder, settings, ratio, scene=None):
     path = scene or default_scene_path()
     tables = {name: load_coordinates(name) for name in settings.coordinates}
     directory = StudyDirectory(folder)
-    directory.open(settings, {name: (path, load_scene(path), tables[name]) for name in tables}, 1)
     slices = settings.slices()
-    for number, (member,) in enumerate(slices):
-        rows = _Rows(settings, member, BATCH)
-        for iteration in range(1, EVALUATIONS * EVERY + 1):
-            value = ratio(member, iteration / (EVALUATIONS * EVERY))
-            rows.add_metrics(iteration, made_metrics(tables[member.coordinates].size, value))
-            if iteration % EVERY == 0:
-                rows.add_evaluation(iteration, made_flights(tables[member.coordinates].size, value))
-        directory.write_slice(number, rows.tables)
-    directory.gather(len(slices))
+    with directory.open(settings, {name: (path, load_scene(path), tables[name]) for name in tables}, 1):
+        for number, (member,) in enumerate(slices):
+            rows = _Rows(settings, member, BATCH)
+            for iteration in range(1, EVALUATIONS * EVERY + 1):
+                value = ratio(member, iteration / (EVALUATIONS * EVERY))
+                rows.add_metrics(iteration, made_metrics(tables[member.coordinates].size, value))
+                if iteration % EVERY == 0:
+                    rows.add_evaluation(iteration, made_flights(tables[member.coordinates].size, value))
+            directory.write_slice(number, rows.tables, [])
+        directory.gather(len(slices))
     return folder
 
 

@@ -6,11 +6,10 @@ import shutil
 import subprocess
 import sys
 
-import jax
 import numpy as np
 import pandas as pd
 import pytest
-from jax.experimental.compilation_cache.compilation_cache import reset_cache
+from conftest import COMPILED
 from test_scene import BAD_MAPS
 
 import pecjax
@@ -23,16 +22,17 @@ TRAIN = ["train", "--iterations", "2", "--num-envs", "8", "--out", "run"]
 
 
 @pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory):
+def around_flights(gliding):
+    """What is tested here does not depend on how the drone flies."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cache_of_the_tests():
     """Keeps the user's cache out of it, and the four devices that this process began with."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("XDG_CACHE_HOME", str(COMPILED.parents[1]))
         patch.setattr(devices, "use_all_cores", lambda: None)
-        before = jax.config.jax_compilation_cache_dir
-        reset_cache()  # JAX asks only once whether there is one
         yield
-        jax.config.update("jax_compilation_cache_dir", before)
-        reset_cache()
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from jax import numpy as jnp
 import pecjax
 from pecjax.experiments.plain_files import coordinates_text
 from pecjax.world.clearance import wall_distance
-from pecjax.world.coordinates import free_regions
 from pecjax.world.notices import world_notices
+from pecjax.world.validity import free_regions
 
 HEIGHT = 1.2
 SET_1, SET_2 = pecjax.COORDINATE_SET_1, pecjax.COORDINATE_SET_2

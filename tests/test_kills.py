@@ -6,6 +6,8 @@ import subprocess
 import kills
 import pytest
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("victim", [kills.training(60), kills.study(3)], ids=["training", "study"])
 def test_what_is_killed_loses_nothing(victim, tmp_path):

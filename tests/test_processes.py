@@ -17,6 +17,8 @@ from pecjax import cli
 from pecjax.experiments import processes, training
 from pecjax.experiments.studies import find_study
 
+pytestmark = pytest.mark.slow
+
 DEVICES_EACH = 2
 TRAIN = """
 import sys

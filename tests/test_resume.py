@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -40,6 +41,11 @@ APEX = replace(
     ),
     **SHORT,
 )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def around_flights(gliding):
+    """What is tested here does not depend on how the drone flies."""
 
 
 def arrays(folder, name):
@@ -93,6 +99,32 @@ def test_three_and_three_iterations_are_six(settings, sampler, devices, whole, t
     assert directory.settings() == settings and directory.num_devices() == devices
     seconds = pd.read_csv(folder / "metrics.csv").seconds
     assert seconds.is_monotonic_increasing
+
+
+def in_the_first_layout(path):
+    """Writes a position as the first version 0.1 did: configuration and counters in Brax's `info`."""
+    with np.load(path) as file:
+        parts = {key: file[key] for key in file.files}
+    for key in list(parts):
+        part = re.search(r"\.pipeline_state\.(config|step_count|standing_count)", key)
+        if part:
+            parts[key.replace(part[0], f".info['{part[1]}']")] = parts.pop(key)
+    if ".state.sampler.alpha" not in parts:
+        del parts[".state.sampler.counts"]  # uniform sampling kept none
+    np.savez(path, **parts)
+
+
+@pytest.mark.parametrize(("settings", "sampler"), [(PPO, "pec"), (PPO, "uniform"), (APEX, "pec")])
+def test_a_run_of_the_first_version_resumes(settings, sampler, whole, tmp_path):
+    folder = tmp_path / "run"
+    devices = {of_case[:2]: of_case[2] for of_case in CASES}[settings, sampler]
+    settings = replace(settings, sampler=sampler)
+    training.train(replace(settings, iterations=3), folder, devices)
+    for path in (folder / "states").iterdir():
+        in_the_first_layout(path)
+        assert b".info[" in path.read_bytes()
+    training.resume(settings, folder)
+    assert_same_run(whole(settings, devices), folder)
 
 
 @pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM])
@@ -387,14 +419,18 @@ def test_options_beside_resume(whole):
 
 
 kinds = strategies.sampled_from([np.float32, np.float64, np.int32, np.int64, np.uint8, np.bool_])
-trees = strategies.recursive(
-    kinds.flatmap(lambda kind: arrays_of(kind, array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=5))),
-    lambda inner: (
-        strategies.lists(inner, min_size=1, max_size=3)
-        | strategies.dictionaries(strategies.text("ab/.'", max_size=5), inner, min_size=1, max_size=3)
-    ),
-    max_leaves=6,
+leaves = kinds.flatmap(
+    lambda kind: arrays_of(kind, array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=5))
 )
+
+
+def branches_of(inner):
+    return strategies.lists(inner, min_size=1, max_size=3) | strategies.dictionaries(
+        strategies.text("ab/.'", max_size=5), inner, min_size=1, max_size=3
+    )
+
+
+trees = leaves | branches_of(leaves | branches_of(leaves))
 
 
 @settings(deadline=None, derandomize=True, max_examples=100)

@@ -34,6 +34,11 @@ TINY = replace(
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
+@pytest.fixture(scope="module", autouse=True)
+def around_flights(gliding):
+    """What is tested here does not depend on how the drone flies."""
+
+
 @pytest.fixture(scope="module")
 def run(folders):
     """A finished run and what `train` said of it."""

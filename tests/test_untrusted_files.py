@@ -219,7 +219,7 @@ def test_a_map_too_large_to_look_for_paths_on(edited_rooms, tmp_path):
     far = edited_rooms(("<worldbody>", '<worldbody><geom type="box" size="1 1 1" pos="900 900 1"/>'))
     scene = load_scene(far)
     with pytest.raises(pecjax.InputError, match="is the most that paths are looked for on"):
-        pecjax.world.coordinates.check_coordinates(scene, pecjax.COORDINATE_SET_1, flight_height=1.2)
+        pecjax.check_coordinates(scene, pecjax.COORDINATE_SET_1, flight_height=1.2)
 
 
 def test_a_control_period_of_a_hundred_million_steps(edited_rooms):

@@ -13,6 +13,7 @@ import os
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -72,12 +73,19 @@ def write_arrays(path: Path, tree: Any, about: dict[str, Any] | None = None) -> 
         raise
 
 
-def read_arrays(path: Path, like: Any, about: dict[str, Any] | None = None) -> Any:
+def read_arrays(
+    path: Path,
+    like: Any,
+    about: dict[str, Any] | None = None,
+    former_name: Callable[[str], str] = lambda name: name,
+) -> Any:
     """Reads a tree back, its leaves placed on the devices where those of `like` have a sharding.
 
     Args:
         like: a tree of the same structure, of arrays or their shapes.
         about: what the arrays must belong to, if that matters.
+        former_name: the name under which older versions wrote the array of a name that is missing;
+            its integers may have been of another width.
 
     Raises:
         BrokenFileError: the file is corrupt.
@@ -93,13 +101,18 @@ def read_arrays(path: Path, like: Any, about: dict[str, Any] | None = None) -> A
                 differing = list(differences(written, json.loads(json.dumps(about))))
                 _check(path, file, differing, "belongs to a run that differs in")
             plain = {name: _plain_shape(leaf) for name, leaf in wanted.items()}
-            differing = sorted(set(found) ^ set(plain)) or [
-                name for name, leaf in plain.items() if found[name] != (leaf.shape, leaf.dtype)
+            source = {name: name if name in found else former_name(name) for name in plain}
+            differing = sorted(set(found) ^ set(source.values())) or [
+                name
+                for name, leaf in plain.items()
+                if not _alike(found[source[name]], leaf, source[name] == name)
             ]
             _check(
                 path, file, differing, "was written with other settings or by another version; it differs in"
             )
-            arrays = {name: _read(file, name) for name in plain}
+            arrays = {
+                name: _read(file, source[name]).astype(leaf.dtype, copy=False) for name, leaf in plain.items()
+            }
     except InputError:
         raise
     except _UNREADABLE as error:
@@ -127,6 +140,11 @@ def _headers(file: zipfile.ZipFile) -> dict[str, tuple[tuple[int, ...], np.dtype
             raise ValueError(f"'{part.filename[:60]}' is no array of {shape} {dtype}")
         found[name] = (shape, dtype)
     return found
+
+
+def _alike(header: tuple[tuple[int, ...], np.dtype], leaf: Any, same_name: bool) -> bool:
+    shape, dtype = header
+    return shape == leaf.shape and (dtype == leaf.dtype if same_name else dtype.kind == leaf.dtype.kind)
 
 
 def _read_about(file: zipfile.ZipFile, found: dict[str, Any]) -> Any:

@@ -16,9 +16,10 @@ from pecjax.experiments import evaluation
 from pecjax.experiments.amounts import image_bytes
 from pecjax.experiments.devices import check_memory
 from pecjax.experiments.presets import SAMPLERS, RunSettings, check_settings
-from pecjax.world.coordinates import Configurations, check_coordinates, load_coordinates
+from pecjax.world.coordinates import Configurations, load_coordinates
 from pecjax.world.navigation import RoomsNavigation
 from pecjax.world.scene import Scene, default_scene_path, load_scene
+from pecjax.world.validity import check_coordinates
 
 
 class Run(NamedTuple):
@@ -71,7 +72,7 @@ def build(
     """Puts world, curriculum and learner together, spread over devices.
 
     Args:
-        trains: makes sure that memory can hold the replay; a policy that is only flown needs none.
+        trains: makes sure that memory can hold replay and images; a policy that is only flown needs neither.
 
     Raises:
         InputError: settings that are absurd or do not fit one another, or images or a replay that
@@ -79,13 +80,13 @@ def build(
     """
     check_settings(settings)
     env = RoomsNavigation(scene, table)
-    images = image_bytes(settings, scene.camera)
-    check_memory(images, num_devices, "the depth images of an iteration take")
     sampler = SAMPLERS[settings.sampler](table.size, settings.alpha)
     mesh = fleet_mesh(num_devices)
     agent = make_agent(settings, env, table, sampler, AXIS)
     if trains:
         check_memory(agent.replay_bytes, num_devices)
+        images = image_bytes(settings, scene.camera)
+        check_memory(images, num_devices, "the depth images of an iteration take")
     return Run(env, table, sampler, shard(agent, mesh), mesh)
 
 

@@ -4,7 +4,6 @@ from pecjax.world.coordinates import (
     COORDINATE_SET_1 as COORDINATE_SET_1,
     COORDINATE_SET_2 as COORDINATE_SET_2,
     Configurations as Configurations,
-    check_coordinates as check_coordinates,
     load_coordinates as load_coordinates,
 )
 from pecjax.world.depth import depth_image as depth_image
@@ -14,3 +13,4 @@ from pecjax.world.navigation import (
     RoomsNavigation as RoomsNavigation,
 )
 from pecjax.world.scene import Scene as Scene, load_scene as load_scene
+from pecjax.world.validity import check_coordinates as check_coordinates

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from pecjax.world.coordinates import Configurations, free_regions, regions_at
+from pecjax.world.coordinates import Configurations
 from pecjax.world.navigation import NavigationSettings
 from pecjax.world.scene import Scene
+from pecjax.world.validity import free_regions, regions_at
 
 FEW_PHYSICS_STEPS = 10  # per action; with more, physics is most of what a training does
 _MUJOCO_TIMESTEP = 0.002  # s, where a map says nothing
