@@ -66,7 +66,7 @@ def values_of(learner, settings=TOY):
     return action_values(QNetwork(settings.network, 2), learner.params, seen)
 
 
-@pytest.mark.parametrize("n_step", [1, 3])
+@pytest.mark.parametrize("n_step", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_it_learns_the_exact_values_of_two_states(n_step):
     # With n = 3 the returns are those of what the actors did: exact only where they rarely explore.
     epsilon = {1: 0.8, 3: 0.01}[n_step]
@@ -85,6 +85,7 @@ def test_it_learns_the_exact_values_of_two_states(n_step):
     assert metrics.losses["td_error"] < 0.05
 
 
+@pytest.mark.slow
 def test_two_seeds_side_by_side_are_two_runs():
     agent = toy()
     keys = jax.random.split(jax.random.key(3), 2)
@@ -111,7 +112,7 @@ def assert_same(one, other, atol):
     jax.tree.map(close, one, other)
 
 
-@pytest.mark.parametrize("devices", [1, 2, 4])
+@pytest.mark.parametrize("devices", [*(pytest.param(n, marks=pytest.mark.slow) for n in (1, 4)), 2])
 def test_many_devices_draw_and_learn_as_one(devices):
     one, many = toy(), toy(devices=devices)
     of_one, of_many = jax.jit(one.init)(jax.random.key(0)), many.init(jax.random.key(0))

@@ -227,6 +227,7 @@ def test_mixing_keeps_the_limits_whatever_is_asked(scene):
     assert np.all((controls >= -1e-5) & (controls <= 8 + 1e-5))
 
 
+@pytest.mark.slow
 def test_halving_the_time_step_changes_little(scene, flights, edited_rooms):
     finer = [
         fly_all(pecjax.load_scene(edited_rooms(('timestep="0.02"', f'timestep="{dt}"'))))

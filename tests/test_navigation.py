@@ -316,12 +316,18 @@ def test_control_period_must_be_a_multiple_of_the_physics_step(scene):
         pecjax.RoomsNavigation(scene, settings=pecjax.NavigationSettings(control_period=0.05))
 
 
+@pytest.fixture(scope="module")
+def step_all(env):
+    """`env.step` of several environments, compiled once."""
+    return jax.jit(jax.vmap(env.step))
+
+
 @pytest.mark.parametrize("speed", [np.nan, np.inf, 1e12])
-def test_physics_that_blows_up_is_a_collision_and_stays_where_it_was(speed, env):
+def test_physics_that_blows_up_is_a_collision_and_stays_where_it_was(speed, env, step_all):
     state = jax.vmap(env.reset)(jax.random.split(jax.random.key(3), 3))
     broken = state.pipeline_state.qvel.at[1, 0].set(speed)
     spoilt = state.replace(pipeline_state=state.pipeline_state._replace(qvel=broken))
-    after, alone = (jax.jit(jax.vmap(env.step))(s, jnp.full(3, 12)) for s in (spoilt, state))
+    after, alone = (step_all(s, jnp.full(3, 12)) for s in (spoilt, state))
     assert after.done[1] == after.metrics["collision"][1] == after.metrics["unstable"][1] == 1
     assert after.reward[1] == -1001 and np.isfinite(after.obs["depth"]).all()
     np.testing.assert_array_equal(after.pipeline_state.qpos[1], state.pipeline_state.qpos[1])

@@ -340,7 +340,7 @@ def assert_learn_alike(one_agent, many_agent, iterations):
     return trials, many
 
 
-@pytest.mark.parametrize("devices", [2, 4])
+@pytest.mark.parametrize("devices", [pytest.param(2, marks=pytest.mark.slow), 4])
 def test_many_devices_learn_as_one(devices):
     """In a task whose numbers are exact, so that all that differs is the rounding of sums over devices."""
     sampler, env = pecjax.curriculum.pec(TABLE.size), TwoStates()
@@ -351,6 +351,7 @@ def test_many_devices_learn_as_one(devices):
     assert len(state.fleet.config_id.sharding.device_set) == devices
 
 
+@pytest.mark.slow
 def test_two_devices_fly_and_learn_as_one(near):
     """In flight, for as long as no ray passes an edge: there a position's last digit decides what is seen.
 
@@ -397,6 +398,7 @@ def test_two_devices_take_the_same_minibatches_as_one(shuffle, num_minibatches):
     assert min(jax.tree.leaves(moved)) > 1e-4
 
 
+@pytest.mark.slow
 def test_seeds_may_be_vmapped(near, small):
     init, iterate = small
     agent = near(SMALL)
@@ -415,6 +417,7 @@ def test_seeds_may_be_vmapped(near, small):
     assert np.any(metrics.counts[0] != metrics.counts[1])
 
 
+@pytest.mark.slow
 def test_it_learns_to_reach_a_goal_one_metre_away(small):
     init, iterate = small
     state, ratios = init(jax.random.key(0)), []

@@ -83,7 +83,12 @@ def whole(folders):
     return get
 
 
-CASES = [(PPO, "pec", 1), (PPO, "uniform", 2), (APEX, "pec", 2), (APEX, "uniform", 1)]
+CASES = [
+    (PPO, "pec", 1),
+    pytest.param(PPO, "uniform", 2, marks=pytest.mark.slow),
+    pytest.param(APEX, "pec", 2, marks=pytest.mark.slow),
+    pytest.param(APEX, "uniform", 1, marks=pytest.mark.slow),
+]
 
 
 @pytest.mark.parametrize(("settings", "sampler", "devices"), CASES, ids=lambda x: getattr(x, "algorithm", x))
@@ -114,10 +119,9 @@ def in_the_first_layout(path):
     np.savez(path, **parts)
 
 
-@pytest.mark.parametrize(("settings", "sampler"), [(PPO, "pec"), (PPO, "uniform"), (APEX, "pec")])
-def test_a_run_of_the_first_version_resumes(settings, sampler, whole, tmp_path):
+@pytest.mark.parametrize(("settings", "sampler", "devices"), CASES, ids=lambda x: getattr(x, "algorithm", x))
+def test_a_run_of_the_first_version_resumes(settings, sampler, devices, whole, tmp_path):
     folder = tmp_path / "run"
-    devices = {of_case[:2]: of_case[2] for of_case in CASES}[settings, sampler]
     settings = replace(settings, sampler=sampler)
     training.train(replace(settings, iterations=3), folder, devices)
     for path in (folder / "states").iterdir():
@@ -127,8 +131,22 @@ def test_a_run_of_the_first_version_resumes(settings, sampler, whole, tmp_path):
     assert_same_run(whole(settings, devices), folder)
 
 
-@pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("at", [1, 3, 4])
+@pytest.mark.parametrize(
+    ("at", "asked"),
+    [
+        (3, signal.SIGINT),
+        (4, signal.SIGTERM),
+        *(
+            pytest.param(at, asked, marks=pytest.mark.slow)
+            for at, asked in [
+                (1, signal.SIGINT),
+                (1, signal.SIGTERM),
+                (3, signal.SIGTERM),
+                (4, signal.SIGINT),
+            ]
+        ),
+    ],
+)
 def test_a_signal_is_seen_to_after_the_iteration(asked, at, whole, tmp_path, monkeypatch):
     folder = tmp_path / "run"
     before = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
@@ -186,7 +204,16 @@ def test_rows_after_the_last_checkpoint_are_rolled_back(stopped, whole, capsys):
     assert_same_run(whole(PPO, 1), stopped)
 
 
-@pytest.mark.parametrize("damage", ["torn", "empty", "changed", "no archive", "a part missing"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "changed",
+        *(
+            pytest.param(damage, marks=pytest.mark.slow)
+            for damage in ("torn", "empty", "no archive", "a part missing")
+        ),
+    ],
+)
 def test_a_broken_checkpoint_gives_way_to_the_one_before(damage, whole, tmp_path, capsys):
     folder = tmp_path / "run"
     training.train(replace(PPO, iterations=4), folder, devices=1)
@@ -380,6 +407,7 @@ def test_two_trainings_cannot_share_a_folder(whole):
         pass  # and is free again
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("room", [400, 2500, 4000])
 def test_a_disk_that_fills_up_is_said_in_one_line_and_nothing_is_lost(room, whole, tmp_path, capsys):
     folder = tmp_path / "run"

@@ -158,6 +158,7 @@ def test_its_tables_have_a_row_for_everything(study, settings):
     np.testing.assert_array_equal(ended, metrics.groupby(["sampler", "seed"]).episodes.sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sampler", "alpha", "seed"), [("pec", 3.0, 7), ("uniform", None, 4)])
 def test_a_run_of_a_study_is_the_run_that_train_would_make(sampler, alpha, seed, study, settings, folders):
     alone = settings.settings_of(Member(settings.run.coordinates, sampler, alpha, seed))
@@ -188,7 +189,7 @@ class KilledError(Exception):
     """Stands for whatever kills a study."""
 
 
-@pytest.mark.parametrize("finished", [0, 1, 2])
+@pytest.mark.parametrize("finished", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (0, 2))])
 def test_a_study_that_was_stopped_ends_byte_for_byte_the_same(
     finished, study, settings, tmp_path, monkeypatch, capsys
 ):
@@ -215,7 +216,7 @@ def test_a_study_that_was_stopped_ends_byte_for_byte_the_same(
     assert [path.stat().st_mtime_ns for path in there] == before  # what was finished was not repeated
 
 
-@pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("asked", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_signal_stops_a_study_between_evaluations(asked, study, settings, tmp_path, monkeypatch):
     advance = Progress.advance
 
@@ -232,6 +233,7 @@ def test_a_signal_stops_a_study_between_evaluations(asked, study, settings, tmp_
     assert digests(tmp_path / "study") == digests(study)
 
 
+@pytest.mark.slow
 def test_a_signal_at_the_end_of_a_slice_keeps_it_and_begins_no_other(settings, tmp_path, monkeypatch):
     write = StudyDirectory.write_slice
 
@@ -246,6 +248,7 @@ def test_a_signal_at_the_end_of_a_slice_keeps_it_and_begins_no_other(settings, t
     assert len(pd.read_csv(tmp_path / "study" / "results.csv")) == 2 * 2
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_said_and_the_study_goes_on_afterwards(study, settings, tmp_path):
     folder = tmp_path / "study"
     shutil.copytree(study, folder)
@@ -261,6 +264,7 @@ def test_a_full_disk_is_said_and_the_study_goes_on_afterwards(study, settings, t
     assert digests(folder) == digests(study)
 
 
+@pytest.mark.slow
 def test_a_study_whose_runs_all_diverge_ends_with_one_line_and_does_not_repeat_them(
     settings, tmp_path, monkeypatch, capsys
 ):
@@ -327,7 +331,16 @@ def test_a_finished_study_only_gathers(study, settings, monkeypatch):
     assert digests(study) == before
 
 
-@pytest.mark.parametrize("damage", ["a changed figure", "cut short", "a lost table", "no checksums"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "a changed figure",
+        *(
+            pytest.param(damage, marks=pytest.mark.slow)
+            for damage in ("cut short", "a lost table", "no checksums")
+        ),
+    ],
+)
 def test_a_damaged_slice_is_found_said_and_made_again(damage, study, settings, tmp_path, capsys):
     folder = tmp_path / "study"
     shutil.copytree(study, folder)
@@ -446,6 +459,7 @@ def test_what_else_lies_among_the_slices_is_left_alone(study, settings, tmp_path
     assert (folder / "slices" / ".DS_Store").exists()
 
 
+@pytest.mark.slow
 def test_a_study_killed_while_its_folder_is_made_begins_again(study, settings, tmp_path, monkeypatch):
     def kill(*_):
         raise KilledError

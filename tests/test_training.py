@@ -237,6 +237,7 @@ def test_every_learner_is_kept_and_of_the_rest_the_newest_two(run):
     assert sorted(path.name for path in (folder / "states").iterdir()) == ["4.npz", "5.npz"]
 
 
+@pytest.mark.slow
 def test_a_run_of_apex_leaves_the_same_files_and_its_policy_can_be_had(
     folders, near_goals, capsys, monkeypatch
 ):

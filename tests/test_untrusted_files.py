@@ -324,6 +324,7 @@ def test_a_changed_header_makes_a_file_corrupt_and_not_anothers(tmp_path):
     np.testing.assert_array_equal(read_arrays(path, WANTED, {"seed": 1})["w"], WANTED["w"])
 
 
+@pytest.mark.slow
 def test_some_hundreds_of_broken_files(tmp_path: Path):
     found = fuzz.fuzz(320, seed=7, run=fuzz.sample_run(tmp_path / "run"))
     assert found.total() == 320
