@@ -2,9 +2,9 @@ import brax.envs
 import jax
 import numpy as np
 import pytest
-from brax.envs.wrappers import training
 from jax import numpy as jnp
 from scipy import stats
+from wrapped_flights import ends_of, evaluated, wrapped_flight
 
 import pecjax
 from pecjax.world.rotations import heading, quaternion_to_matrix
@@ -93,44 +93,6 @@ def test_vmap_and_scan_agree_with_single_steps(env, step, fly_batch):
         assert state.pipeline_state.step_count == 30
 
 
-def wrapped_flight(env, action, steps, episode_length, key=jax.random.PRNGKey, wrap=training.wrap):
-    """(state after reset, rows of done, truncation and what `info` says) under Brax's wrappers."""
-    wrapped = wrap(env, episode_length=episode_length)
-    first = jax.jit(wrapped.reset)(jax.random.split(key(2), 4))
-
-    def step(state, _):
-        state = wrapped.step(state, jnp.full(4, action))
-        kept = ("done", state.done), ("truncation", state.info["truncation"]), ("steps", state.info["steps"])
-        return state, dict(kept) | state.metrics | {"counted": state.pipeline_state.step_count}
-
-    last, rows = jax.jit(lambda state: jax.lax.scan(step, state, None, steps))(first)
-    return first, last, jax.tree.map(np.asarray, rows)
-
-
-def ends_of(rows):
-    return [np.flatnonzero(row).tolist() for row in rows["done"].T]
-
-
-def test_under_brax_an_episode_ends_at_its_own_limit_every_time(scene):
-    short = pecjax.RoomsNavigation(scene, settings=pecjax.NavigationSettings(max_steps=20))
-    first, last, rows = wrapped_flight(short, STAND, steps=405, episode_length=1000)
-    assert ends_of(rows) == [list(range(19, 405, 20))] * 4
-    np.testing.assert_array_equal(rows["timeout"], rows["done"])
-    assert not rows["truncation"].any()
-    np.testing.assert_array_equal(rows["counted"][:, 0], (1 + np.arange(405)) % 20)
-    # Brax resets to what the environment began with.
-    jax.tree.map(np.testing.assert_array_equal, last.pipeline_state.config, first.pipeline_state.config)
-    assert signature(first.pipeline_state) == signature(last.pipeline_state)
-
-
-def test_under_brax_a_shorter_episode_length_truncates(scene):
-    short = pecjax.RoomsNavigation(scene, settings=pecjax.NavigationSettings(max_steps=20))
-    _, _, rows = wrapped_flight(short, STAND, steps=305, episode_length=7)
-    assert ends_of(rows) == [list(range(6, 305, 7))] * 4
-    np.testing.assert_array_equal(rows["truncation"], rows["done"])
-    assert not rows["timeout"].any()
-
-
 @pytest.mark.slow
 def test_under_brax_the_default_task_ends_where_it_should_for_1500_steps(env):
     _, _, rows = wrapped_flight(env, STAND, steps=1500, episode_length=1000)
@@ -140,22 +102,10 @@ def test_under_brax_the_default_task_ends_where_it_should_for_1500_steps(env):
     for n, ends in enumerate(ends_of(rows)):
         assert len(ends) > 10 and set(np.diff(ends)) == {ends[0] + 1}
         assert np.all((rows["collision"] + rows["goal"])[ends, n] == 1)
-
-
-def evaluated(env, episode_length):
-    return training.EvalWrapper(training.wrap(env, episode_length=episode_length))
-
-
-def test_brax_can_evaluate_it(scene):
-    short = pecjax.RoomsNavigation(scene, settings=pecjax.NavigationSettings(max_steps=20))
-    _, last, rows = wrapped_flight(short, STAND, steps=50, episode_length=1000, wrap=evaluated)
-    assert ends_of(rows) == [[19, 39]] * 4
-    found = last.info["eval_metrics"]
-    # Standing costs 3 more from the eleventh step on, and the limit 1,000: of the first episode.
-    np.testing.assert_allclose(found.episode_metrics["reward"], np.full(4, -20 - 10 * 3 - 1000))
-    np.testing.assert_array_equal(found.episode_metrics["timeout"], np.ones(4))
-    np.testing.assert_array_equal(found.episode_steps, np.full(4, 20))
-    np.testing.assert_array_equal(found.active_episodes, np.zeros(4))
+    # And under its evaluation, which counts each environment's first episode.
+    _, last, rows = wrapped_flight(env, STAND, steps=1500, episode_length=1000, wrap=evaluated)
+    assert ends_of(rows) == [[999]] * 4
+    np.testing.assert_array_equal(last.info["eval_metrics"].episode_steps, np.full(4, 1000))
 
 
 @pytest.mark.parametrize("key", [jax.random.PRNGKey, jax.random.key])

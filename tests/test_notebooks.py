@@ -6,6 +6,7 @@ import jupytext
 import nbformat
 import pytest
 from nbclient import NotebookClient
+from nbclient.exceptions import CellTimeoutError
 
 pytestmark = pytest.mark.slow
 
@@ -20,8 +21,14 @@ def test_a_notebook_runs_from_top_to_bottom(name, tmp_path):
     assert len(settings) == 1 and settings[0].source.startswith('SCALE = "laptop"')
     settings[0].source = 'SCALE = "smoke"'
     (tmp_path / "notebooks").mkdir()
-    client = NotebookClient(notebook, timeout=900, resources={"metadata": {"path": tmp_path / "notebooks"}})
-    client.execute()
+    resources = {"metadata": {"path": tmp_path / "notebooks"}}
+    for attempt in range(2):
+        try:
+            NotebookClient(notebook, timeout=400, resources=resources).execute()
+            break
+        except CellTimeoutError:  # seen once: kernel and client each idle, waiting for the other
+            if attempt:
+                raise
     pictures = [
         o for cell in notebook.cells for o in cell.get("outputs", ()) if "image/png" in o.get("data", ())
     ]

@@ -22,7 +22,7 @@ def act(obs, chance):
 
 
 @pytest.fixture(scope="module")
-def env(scene):
+def env(scene, gliding):
     return pecjax.RoomsNavigation(scene, TABLE, pecjax.NavigationSettings(max_steps=17))
 
 
