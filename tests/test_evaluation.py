@@ -36,7 +36,7 @@ def policy(logits, greedy=False):
 
 
 @pytest.fixture(scope="module")
-def task(scene, gliding):
+def task(scene):
     return pecjax.RoomsNavigation(scene, TABLE, NavigationSettings(max_steps=LIMIT))
 
 

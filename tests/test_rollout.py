@@ -22,7 +22,7 @@ def act(obs, chance):
 
 
 @pytest.fixture(scope="module")
-def env(scene, gliding):
+def env(scene):
     return pecjax.RoomsNavigation(scene, TABLE, pecjax.NavigationSettings(max_steps=17))
 
 
