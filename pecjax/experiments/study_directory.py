@@ -173,7 +173,7 @@ class StudyDirectory:
         ]
 
     def has_rows(self) -> bool:
-        """Whether a run has come to its end: whether the tables say anything."""
+        """Whether a run has finished: whether the tables say anything."""
         return bool((self.folder / "results.csv").read_text().strip())
 
     def _held(self, number: int) -> list[Path]:
