@@ -25,6 +25,15 @@ jax.config.update("jax_compilation_cache_dir", str(COMPILED))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_logging_level", "CRITICAL")  # see `devices.keep_compiled_programs`
 
+
+def pytest_configure(config):
+    """The core suite is mostly compilation, of programs that then run for moments.
+
+    Its programs are compiled as those of JAX's own tests; the slow suite's, and those of processes that
+    tests start, as a user's.
+    """
+    jax.config.update("jax_disable_most_optimizations", config.option.markexpr == "not slow")
+
 # Differs from rooms.xml in all that a map may choose: a floor, walls that hang in bodies or are turned
 # by right angles, something there only for show, and another drone with another camera.
 OTHER_MAP = """
