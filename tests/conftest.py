@@ -34,6 +34,7 @@ def pytest_configure(config):
     """
     jax.config.update("jax_disable_most_optimizations", config.option.markexpr == "not slow")
 
+
 # Differs from rooms.xml in all that a map may choose: a floor, walls that hang in bodies or are turned
 # by right angles, something there only for show, and another drone with another camera.
 OTHER_MAP = """

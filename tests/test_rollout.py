@@ -1,6 +1,7 @@
 import jax
 import numpy as np
 import pytest
+from conftest import glide
 from jax import numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
 from scipy import stats
@@ -8,6 +9,7 @@ from scipy import stats
 import pecjax
 from pecjax.agents.rollout import Fleet, launch, rollout
 from pecjax.curriculum import Outcomes, pec
+from pecjax.world import navigation
 
 NUM_ENVS, NUM_STEPS, NUM_BATCHES = 6, 14, 3
 # A goal close by, a wall close by, and a goal out of reach: every ending within a few steps.
@@ -199,8 +201,9 @@ def test_environments_go_by_their_global_number(roll, first, batches):
     assert_same(fleet.config_id, part(batches[1][0].config_id, order, 0))
 
 
-def test_resets_draw_from_the_sampler(scene):
-    # Thousands of episodes, each of one step.
+def test_resets_draw_from_the_sampler(scene, monkeypatch):
+    # Thousands of episodes, each of one step, however that is flown.
+    monkeypatch.setattr(navigation, "fly", glide)
     quick = pecjax.RoomsNavigation(scene, TABLE, pecjax.NavigationSettings(max_steps=1))
     sampler, num_envs = pec(3, alpha=0.2), 64
     failed = [False] * 10 + [True] * 3 + [False] * 7 + [True] * 9 + [False]
