@@ -34,7 +34,7 @@ def steps_per_second(side: str, cache: Path, options: list[str]) -> float:
 
 
 def main() -> None:
-    """Trains in pairs and prints every pair, then the mean ratio with its 95 % interval."""
+    """Trains in pairs and prints every pair, then the mean ratio with its 95 % interval and the median."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("sides", nargs=2, metavar=("A", "B"))
     parser.add_argument("--pairs", type=int, default=6)
@@ -54,7 +54,10 @@ def main() -> None:
     mean = statistics.fmean(np.log(ratios))
     half = stats.t.ppf(0.975, len(ratios) - 1) * stats.sem(np.log(ratios)) if len(ratios) > 1 else np.nan
     low, middle, high = np.exp([mean - half, mean, mean + half])
-    print(f"A/B {middle:.3f} [{low:.3f}, {high:.3f}] over {len(ratios)} pairs")
+    print(
+        f"A/B: mean {middle:.3f} [{low:.3f}, {high:.3f}], median {statistics.median(ratios):.3f} "
+        f"over {len(ratios)} pairs"
+    )
 
 
 if __name__ == "__main__":
