@@ -27,8 +27,8 @@ def study(alphas: tuple[float, ...], at_once: int) -> Workload:
         if number not in programs:
             programs[number] = make_program(settings.run, scene, table, number)
         seeds = np.array([member.seed for member in members], np.int32)
-        drawn = np.array([member.alpha for member in members], np.float32)
-        states.append((number, programs[number].init(seeds, drawn)))
+        numbers = {"alpha": np.array([member.alpha for member in members], np.float32)}
+        states.append((number, programs[number].init(seeds, numbers)))
 
     def run() -> None:
         for place, (number, state) in enumerate(states):

@@ -30,8 +30,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import Image
 
-from pecjax.curriculum import Outcomes, Sampler, pec, sample_ids
-from pecjax.experiments import presets, study_figures, study_report
+from pecjax.curriculum import Outcomes, Sampler, SamplerSettings, from_counts, pec
+from pecjax.experiments import study_figures, study_report
 from pecjax.experiments.studies import find_study
 from pecjax.experiments.study import run_study
 from pecjax.world import load_coordinates, load_scene
@@ -58,28 +58,27 @@ print(f"{len(scene.wall_names)} walls, {pairs.size} configurations, all can be f
 # %% [markdown]
 # ## A new sampler
 #
-# A sampler is four pure functions over a state. This one draws what fails about half of the time, where
-# most may be learned (p (1 - p), as in SFL and ProCuRL), and keeps PEC's counts.
+# A sampler is four pure functions over a state; `from_counts` makes them of a priority. This one draws what
+# fails about half of the time, where most may be learned (p (1 - p), as in SFL and ProCuRL). Its settings are
+# a class, which a run names by its address: `my.module:Learnability` if it lay in a file.
 
 
 # %%
-def learnability(num_configs: int) -> Sampler:
-    """Draws in proportion to p (1 - p), a twentieth added, of the failure ratio p."""
+@dataclasses.dataclass(frozen=True)
+class Learnability(SamplerSettings):
+    """Draws in proportion to p (1 - p) of the failure ratio p, and a little more."""
 
-    def probabilities(state):
-        trials, failures = state.counts
-        p = failures / jnp.maximum(trials, 1)
-        weight = jnp.where(trials > 0, p * (1 - p) + 0.05, 1.0)
-        return weight / weight.sum()
+    floor: float = 0.05
 
-    def sample(state, key, shape=()):
-        return sample_ids(probabilities(state), key, shape)
+    def make(self, num_configs: int) -> Sampler:
+        """The sampler over N configurations."""
 
-    return pec(num_configs)._replace(probabilities=probabilities, sample=sample)
+        def priority(trials, failures, numbers):
+            p = failures / jnp.maximum(trials, 1)
+            return jnp.where(trials > 0, p * (1 - p) + numbers["floor"], 1.0)
 
+        return from_counts(num_configs, {"floor": self.floor}, priority)
 
-presets.SAMPLERS["learnability"] = lambda num_configs, alpha: learnability(num_configs)
-presets.WITHOUT_ALPHA.add("learnability")
 
 # %% [markdown]
 # Beside PEC and uniform sampling, paired by seed, in the new map:
@@ -88,7 +87,7 @@ presets.WITHOUT_ALPHA.add("learnability")
 study = dataclasses.replace(
     find_study("fig4", SCALE),
     name="own",
-    samplers=("learnability", "pec", "uniform"),
+    samplers=(f"{__name__}:Learnability", "pec", "uniform"),
     coordinates=(str(folder / "pairs.csv"),),
     seeds=(0, 1),
     at_once=len(jax.devices()),

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import difflib
-import io
-import itertools
-import re
+import os
+import signal
 import sys
 from collections.abc import Sequence
 from typing import Annotated, get_args
@@ -15,13 +12,17 @@ from typing import Annotated, get_args
 import tyro
 
 import pecjax
+from pecjax.commands import settings_args
 from pecjax.commands.check import Check
 from pecjax.commands.evaluate import Eval
 from pecjax.commands.figures import Figures
+from pecjax.commands.options import read
 from pecjax.commands.study import Study
 from pecjax.commands.train import Train
 from pecjax.errors import DivergedError, InputError, LostProcessError, StoppedError
 from pecjax.experiments import devices
+from pecjax.experiments.presets import PRESETS
+from pecjax.settings_tree import nearest
 
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
@@ -49,48 +50,28 @@ def parse(args: Sequence[str] | None = None) -> Command:
     if command not in (*commands, "--help", "-h"):
         known = [*commands, "--help", "--version"]
         raise InputError(
-            f"unknown command '{command}'{_nearest(command, known)}; give one of {', '.join(known)}"
+            f"unknown command '{command}'{nearest(command, known)}; give one of {', '.join(known)}"
         )
-    complaint = io.StringIO()
+    kind = commands.get(command)
+    words, settings = settings_args.split(words, kind) if kind in (Train, Study) else (words, [])
+    known = ["--" + field.name.replace("_", "-") for field in dataclasses.fields(kind)] if kind else []
     try:
-        with contextlib.redirect_stderr(complaint):
-            return tyro.cli(Command, prog="pecjax", description=__doc__, args=words)
-    except SystemExit as stop:
-        if stop.code in (0, None):
-            raise
-        options = ["--" + field.name.replace("_", "-") for field in dataclasses.fields(commands[command])]
-        line = _one_line(complaint.getvalue(), options)
-        raise InputError(f"{line}; pecjax {command} --help lists all options") from None
-
-
-def _one_line(complaint: str, options: list[str]) -> str:
-    """The gist of tyro's complaint, which fills a box of several sections."""
-    lines = [line.strip(" │|") for line in complaint.splitlines()]
-    # Below the title, as far as the next line that is empty or drawn; the rest is help text.
-    words = re.compile(r"\w").search
-    below = itertools.dropwhile(lambda line: not words(line), lines[1:])
-    line = " ".join(itertools.takewhile(words, below)) or " ".join(lines)
-    if found := re.fullmatch(r"Unrecognized options: (.*)", line):
-        given = found[1].split(", ")
-        unknown = next((word for word in given if word.startswith("-")), None)
-        return (
-            f"unknown option {unknown}{_nearest(unknown, options)}" if unknown else f"unexpected '{given[0]}'"
-        )
-    if found := re.fullmatch(r"Error parsing (\S+): no type matching (\S+) .* from \[(.*)\]\.", line):
-        kind = {"INT": "a whole number", "FLOAT": "a number", "{[FLOAT": "numbers"}.get(found[2], found[2])
-        return f"{found[1]} takes {kind}, not {found[3]}"
-    return line.removesuffix(".")
-
-
-def _nearest(word: str, known: list[str]) -> str:
-    near = difflib.get_close_matches(word, known, n=1)
-    return f" (did you mean {near[0]}?)" if near else ""
+        found = read(Command, words, known, prog="pecjax", description=__doc__)
+    except InputError as error:
+        raise InputError(f"{error}; pecjax {command} --help lists all options") from None
+    except SystemExit:
+        if kind in (Train, Study):
+            settings_args.print_help(PRESETS["fast"], kind)
+        raise
+    return dataclasses.replace(found, settings=tuple(settings)) if settings else found
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Runs one command; returns its exit code."""
     devices.use_all_cores()
     devices.keep_compiled_programs()
+    if "" not in sys.path:
+        sys.path.append("")  # samplers of one's own may lie in the folder that the command is run in
     try:
         parse(args).run()
     except InputError as error:
@@ -102,6 +83,9 @@ def main(args: Sequence[str] | None = None) -> int:
     except StoppedError as stop:
         print(f"pecjax: {stop}", file=sys.stderr)
         return 128 + stop.signal
+    except BrokenPipeError:  # whoever read the output has had enough of it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
     except KeyboardInterrupt:
         print("pecjax: interrupted", file=sys.stderr)
         return 130

@@ -208,19 +208,19 @@ def fuzz(inputs: int, seed: int, run: Path) -> Counter:
 
 def sample_run(folder: Path) -> Path:
     """The files of a small run and a small study, as they would be written."""
-    import dataclasses
-
+    from pecjax import settings_tree
     from pecjax.experiments import plain_files
     from pecjax.experiments.presets import PRESETS
     from pecjax.experiments.studies import find_study
+    from pecjax.world.configuration_files import table_text
 
     folder.mkdir(parents=True, exist_ok=True)
-    config = {"settings": dataclasses.asdict(PRESETS["fast"])}
+    config = {"settings": settings_tree.to_json(PRESETS["fast"])}
     (folder / "config.json").write_text(plain_files.json_text(config))
-    study = {"settings": dataclasses.asdict(find_study("fig4"))}
+    study = {"settings": settings_tree.to_json(find_study("fig4"))}
     (folder / "study.json").write_text(plain_files.json_text(study))
     Checkpoints(folder).save_learner(3, LEARNER)
-    table = plain_files.coordinates_text(pecjax.COORDINATE_SET_1)
+    table = table_text(pecjax.COORDINATE_SET_1)
     (folder / "coordinates.csv").write_text(table)
     for name, columns in _COLUMNS.items():
         rows = [dict.fromkeys(sorted(columns), number * 0.5) for number in range(4)]

@@ -1,4 +1,4 @@
-"""The one-way flow between the storeys, and what importing the package does and offers."""
+"""The one-way flow between the layers, and what importing the package does and offers."""
 
 import json
 import subprocess
@@ -27,7 +27,7 @@ print(json.dumps(report))
 """
 
 
-def test_storeys_import_only_from_above():
+def test_layers_import_only_from_above():
     lint = subprocess.run(
         [Path(sys.executable).parent / "lint-imports", "--no-cache"],
         cwd=ROOT,

@@ -2,9 +2,11 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -18,6 +20,7 @@ from pecjax.experiments import devices, training
 from pecjax.world import load_coordinates, load_scene
 from pecjax.world.scene import default_scene_path
 
+ROOT = Path(__file__).parents[1]
 TRAIN = ["train", "--iterations", "2", "--num-envs", "8", "--out", "run"]
 
 
@@ -71,7 +74,8 @@ def test_train_leaves_a_run_and_its_figures(run):
     assert there == {".png", ".svg"}
     settings = json.loads((run / "config.json").read_text())["settings"]
     assert settings["iterations"] == 2 and settings["ppo"]["num_envs"] == 8 and settings["seed"] == 5
-    assert settings["sampler"] == "uniform" and settings["greedy"] is False
+    assert settings["sampler"] == {"kind": "pecjax.curriculum.uniform:Uniform"}
+    assert settings["greedy"] is False
     assert settings["coordinates"].endswith("places.txt")
 
 
@@ -108,6 +112,34 @@ def test_figures_draws_them_again_and_names_them(run, capsys):
     named = capsys.readouterr().out.split()
     assert sorted(named) == sorted(str(path) for path in (run / "figures").iterdir())
     assert len(named) >= 8
+
+
+def test_the_sampler_that_the_docs_show_trains_resumes_and_evaluates(tmp_path, monkeypatch, capsys):
+    """It lies in a file beside, and the run knows it by its address."""
+    shown = re.search(
+        r"```python\n(# mine\.py.*?)```", (ROOT / "docs/architecture.md").read_text(), re.DOTALL
+    )
+    (tmp_path / "mine.py").write_text(shown[1])
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
+    assert main([*TRAIN[:-3], "8", "--out", "run", "--sampler", "mine:Learnability"]) == 0
+    config = json.loads(Path("run/config.json").read_text())
+    assert config["settings"]["sampler"] == {"kind": "mine:Learnability", "floor": 0.05}
+    rows = pd.read_csv("run/configurations.csv")
+    rows = rows[rows.iteration == 2]
+    p = rows.failures / rows.trials.clip(lower=1)
+    weight = np.where(rows.trials > 0, p * (1 - p) + 0.05, 1)
+    np.testing.assert_allclose(rows.probability, weight / weight.sum(), rtol=2e-6)
+    assert main(["train", "--resume", "--out", "run", "--iterations", "3"]) == 0
+    assert pd.read_csv("run/metrics.csv").iteration.tolist() == [1, 2, 3]
+    assert main(["eval", "run", "--episodes", "2"]) == 0
+    # Where it is not to be found, the run says so.
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    monkeypatch.delitem(sys.modules, "mine")
+    capsys.readouterr()
+    assert main(["eval", "../run"]) == 2
+    assert "../run/config.json: mine:Learnability: cannot be imported" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("coordinates", ["1", "2"])
@@ -194,10 +226,10 @@ def test_scene_files_that_are_none(content, words, command, tmp_path, refused):
     ("content", "words"),
     [
         (None, "neither 1 nor 2 nor a file"),
-        (b"", "no coordinates"),
-        (b"# only words\n\n", "no coordinates"),
-        (b"0 0 1 0\none two three four\n", "line 2: 'one two three four' is not four numbers"),
-        (b"0 0 1\n", "line 1: '0 0 1' is not four numbers"),
+        (b"", "no configurations"),
+        (b"# only words\n\n", "no configurations"),
+        (b"0 0 1 0\none two three four\n", "line 2: 'one two three four' is not 4 numbers"),
+        (b"0 0 1\n", "line 1: '0 0 1' is not 4 numbers"),
         (b"0 0 1 0 5\n", "line 1"),
         (b"0 0 nan 0\n", "line 1"),
         (b"0 0 inf 0\n", "line 1"),
@@ -369,6 +401,14 @@ def test_help_names_each_default_once_and_no_types_of_python(command, capsys):
         main([command, "--help"])
     words = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert "(default: None)" not in words and "{None}" not in words and ") (default" not in words
+
+
+def test_a_reader_that_has_had_enough_is_no_fault():
+    """As in `pecjax eval RUN | head -1`."""
+    command = [sys.executable, "-m", "pecjax", "train", "--help"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b"" and process.wait(60) == 141
 
 
 def test_out_folders_that_cannot_be_had(tmp_path, refused):

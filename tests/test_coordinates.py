@@ -7,8 +7,8 @@ from hypothesis.extra.numpy import arrays
 from jax import numpy as jnp
 
 import pecjax
-from pecjax.experiments.plain_files import coordinates_text
 from pecjax.world.clearance import wall_distance
+from pecjax.world.configuration_files import table_text
 from pecjax.world.notices import world_notices
 from pecjax.world.validity import free_regions
 
@@ -167,7 +167,7 @@ def test_a_header_says_which_column_is_which(header, mark, tmp_path):
     [
         (
             "start_x,start_y,goal_x,gaol_y",
-            "line 2, column 4: 'gaol_y' is unknown; the columns are start_x",
+            "line 2, column 4: 'gaol_y' is unknown (did you mean goal_y?); the columns are start_x",
         ),
         ("# start_x,start_y,goal_x,gaol_y", "pairs.csv, line 2, column 4: 'gaol_y' is unknown"),
         ("name,start_x,start_y,goal_x,goal_y", "line 2, column 1: 'name' is unknown"),
@@ -227,8 +227,8 @@ def test_a_goal_that_is_reached_at_once_gets_a_notice(scene):
     ("content", "message"),
     [
         (None, "neither 1 nor 2 nor a file"),
-        (b"", "no coordinates"),
-        (b"# nothing\n\n", "no coordinates"),
+        (b"", "no configurations"),
+        (b"# nothing\n\n", "no configurations"),
         (b"0,0,1,1\nstart, goal\n", "line 2: 'start, goal'"),
         (b"0,0,1\n", "line 1: '0,0,1'"),
         (b"0,0,1,1,1\n", "line 1"),
@@ -309,7 +309,7 @@ tables = arrays(
 @given(tables)
 def test_any_table_reads_back_from_its_file_as_it_was(tmp_path_factory, numbers):
     path = tmp_path_factory.mktemp("tables") / "pairs.csv"
-    path.write_text(coordinates_text(pecjax.Configurations(start=numbers[:, :2], goal=numbers[:, 2:])))
+    path.write_text(table_text(pecjax.Configurations(start=numbers[:, :2], goal=numbers[:, 2:])))
     table = pecjax.load_coordinates(path)
     np.testing.assert_array_equal(np.hstack([table.start, table.goal]), numbers)
     assert table.size == len(numbers)

@@ -19,6 +19,7 @@ from pecjax.agents import AXIS, fleet_mesh, ppo, ppo_update, shard
 from pecjax.agents.networks import ActorCritic, NetworkSettings
 from pecjax.agents.ppo_update import Batch, PPOSettings
 from pecjax.agents.rollout import Trajectory
+from pecjax.curriculum import PEC
 from pecjax.experiments.presets import PRESETS
 from pecjax.world.navigation import NavigationSettings
 
@@ -262,7 +263,7 @@ def test_the_preset_rllib085_holds_every_value_of_rllib_and_of_the_paper():
     assert found.discount == 0.99 and found.gae_lambda == 0.95 and found.clip == 0.2
     assert found.max_grad_norm is None and found.reward_scale == 1.0
     assert found.network == NetworkSettings(encoder="mlp", hidden=(256, 256), initializer="normc")
-    assert preset.iterations == 1500 and preset.sampler == "pec" and preset.alpha == 0.2
+    assert preset.iterations == 1500 and preset.sampler == PEC(alpha=0.2)
     assert preset.evaluate_every == 100 and preset.evaluation_episodes == 50
     assert preset.coordinates == "1"
 

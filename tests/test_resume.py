@@ -19,6 +19,7 @@ from hypothesis.extra.numpy import array_shapes, arrays as arrays_of
 import pecjax
 from pecjax.agents.q_network import QNetworkSettings
 from pecjax.agents.replay import ReplaySettings
+from pecjax.curriculum import PEC
 from pecjax.errors import DivergedError, StoppedError
 from pecjax.experiments import loop, presets, provenance, training
 from pecjax.experiments.array_files import BrokenFileError, read_arrays, write_arrays
@@ -93,7 +94,7 @@ CASES = [
 
 @pytest.mark.parametrize(("settings", "sampler", "devices"), CASES, ids=lambda x: getattr(x, "algorithm", x))
 def test_three_and_three_iterations_are_six(settings, sampler, devices, whole, tmp_path):
-    settings = replace(settings, sampler=sampler)
+    settings = presets.override(settings, sampler=sampler)
     folder = tmp_path / "run"
     training.train(replace(settings, iterations=3), folder, devices)
     assert (folder / "summary.json").exists()
@@ -106,6 +107,12 @@ def test_three_and_three_iterations_are_six(settings, sampler, devices, whole, t
     assert seconds.is_monotonic_increasing
 
 
+def in_the_first_words(settings):
+    """The settings of a run as the first version 0.1 wrote them: a sampler's name, and α for all."""
+    kind = settings["sampler"].pop("kind").rpartition(":")[2].lower()
+    settings |= {"alpha": settings["sampler"].get("alpha", 0.2), "sampler": kind}
+
+
 def in_the_first_layout(path):
     """Writes a position as the first version 0.1 did: configuration and counters in Brax's `info`."""
     with np.load(path) as file:
@@ -114,19 +121,29 @@ def in_the_first_layout(path):
         part = re.search(r"\.pipeline_state\.(config|step_count|standing_count)", key)
         if part:
             parts[key.replace(part[0], f".info['{part[1]}']")] = parts.pop(key)
-    if ".state.sampler.alpha" not in parts:
+    alpha = parts.pop(".state.sampler.numbers['alpha']", None)
+    if alpha is None:
         del parts[".state.sampler.counts"]  # uniform sampling kept none
+    else:
+        parts[".state.sampler.alpha"] = alpha
+    about = json.loads(parts["about"].tobytes())
+    in_the_first_words(about["settings"])
+    parts["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
     np.savez(path, **parts)
 
 
 @pytest.mark.parametrize(("settings", "sampler", "devices"), CASES, ids=lambda x: getattr(x, "algorithm", x))
 def test_a_run_of_the_first_version_resumes(settings, sampler, devices, whole, tmp_path):
     folder = tmp_path / "run"
-    settings = replace(settings, sampler=sampler)
+    settings = presets.override(settings, sampler=sampler)
     training.train(replace(settings, iterations=3), folder, devices)
     for path in (folder / "states").iterdir():
         in_the_first_layout(path)
-        assert b".info[" in path.read_bytes()
+        assert b".info[" in path.read_bytes() and b'"alpha": 0.2' in path.read_bytes()
+    config = json.loads((folder / "config.json").read_text())
+    in_the_first_words(config["settings"])
+    (folder / "config.json").write_text(json.dumps(config))
+    assert RunDirectory(folder).settings() == replace(settings, iterations=3)
     training.resume(settings, folder)
     assert_same_run(whole(settings, devices), folder)
 
@@ -364,7 +381,7 @@ def test_tables_of_other_kinds_are_refused_in_one_line(ended):
 
 
 def test_another_run_is_refused_and_the_difference_named(whole, tmp_path, monkeypatch):
-    other = replace(PPO, alpha=0.5, seed=3, iterations=9)
+    other = replace(PPO, sampler=PEC(0.5), seed=3, iterations=9)
     with pytest.raises(pecjax.InputError, match=r"alpha \(0.2 there, 0.5 here\), seed \(0 there, 3 here\)"):
         training.resume(other, whole(PPO, 1))
     # A checkpoint that was put into the folder of another run, or into another map.

@@ -15,6 +15,7 @@ import pytest
 
 import pecjax
 from pecjax.commands.study import Study
+from pecjax.curriculum import PEC
 from pecjax.errors import DivergedError, StoppedError
 from pecjax.experiments import provenance, study_directory, study_figures, study_report, training
 from pecjax.experiments.assembly import make_agent
@@ -109,7 +110,7 @@ def test_alpha_is_of_samplers_that_have_one(settings):
     assert [member.alpha for member in groups[0]] == [0.0, 3.0, 0.0, 3.0]
     assert [member.alpha for member in groups[1]] == [None, None]
     assert settings.settings_of(Member("2", "pec", 3.0, 7)) == replace(
-        settings.run, coordinates="2", alpha=3.0, seed=7
+        settings.run, coordinates="2", sampler=PEC(3.0), seed=7
     )
 
 
@@ -468,7 +469,7 @@ def test_a_study_killed_while_its_folder_is_made_begins_again(study, settings, t
     place.mkdir()
     monkeypatch.chdir(place)  # a folder that is there and empty will do
     with monkeypatch.context() as patched:
-        patched.setattr(study_directory.plain_files, "coordinates_text", lambda table: table.no_such_thing)
+        patched.setattr(study_directory, "table_text", lambda table: table.no_such_thing)
         with pytest.raises(AttributeError):
             run_study(settings, Path("."))
     assert not list(place.iterdir())

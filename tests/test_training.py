@@ -92,7 +92,7 @@ def test_counts_of_configurations_add_up_to_the_metrics(tables):
 def test_probabilities_obey_equations_1_and_2(tables):
     for _, rows in tables["configurations"].groupby("iteration"):
         tried = rows.trials > 0
-        priority = np.where(tried, rows.failures / rows.trials.where(tried, 1) + TINY.alpha, 1.0)
+        priority = np.where(tried, rows.failures / rows.trials.where(tried, 1) + TINY.sampler.alpha, 1.0)
         np.testing.assert_allclose(rows.probability, priority / priority.sum(), rtol=2e-6)
         np.testing.assert_allclose(rows.probability.sum(), 1, rtol=1e-6)
     assert rows.probability.nunique() > 1

@@ -65,7 +65,7 @@ class Agent(NamedTuple):
     """A learner, a sampler and their environments as pure functions.
 
     Attributes:
-        init: (key) -> TrainState.
+        init: (key, numbers=None) -> TrainState; the numbers are for `Sampler.init`.
         iterate: (TrainState) -> (TrainState, Metrics), one iteration of the paper's Fig. 1
             (lines 2-16).
         policy: (TrainState.learner, greedy=False) -> act, where act(obs, key) -> action for a
@@ -74,7 +74,7 @@ class Agent(NamedTuple):
         replay_bytes: that the replay takes, over all devices.
     """
 
-    init: Callable[[jax.Array], TrainState]
+    init: Callable[..., TrainState]
     iterate: Callable[[TrainState], tuple[TrainState, Metrics]]
     policy: Callable[..., Callable[[Any, jax.Array], jax.Array]]
     steps_per_iteration: int

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -99,9 +100,9 @@ def make(
         one = replay.empty(settings.num_rows, settings.shard_envs, camera.height * camera.width)
         return jax.tree.map(lambda leaf: jnp.zeros((num_shards, *leaf.shape), leaf.dtype), one)
 
-    def init(key: jax.Array) -> TrainState:
+    def init(key: jax.Array, numbers: Mapping[str, jax.Array] | None = None) -> TrainState:
         key, key_online, key_target, key_fleet = jax.random.split(key, 4)
-        sampler_state = sampler.init()
+        sampler_state = sampler.init(**(numbers or {}))
         fleet = launch(env, table, sampler, sampler_state, key_fleet, num_envs)
         seen = features(compress(observation(fleet.state), camera.far))[:1]
         params, target = network.init(key_online, seen), network.init(key_target, seen)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -37,9 +38,9 @@ def make(
     network = ActorCritic(settings.network, env.action_size, (camera.height, camera.width))
     optimizer = make_optimizer(settings)
 
-    def init(key: jax.Array) -> TrainState:
+    def init(key: jax.Array, numbers: Mapping[str, jax.Array] | None = None) -> TrainState:
         key, key_params, key_fleet = jax.random.split(key, 3)
-        sampler_state = sampler.init()
+        sampler_state = sampler.init(**(numbers or {}))
         fleet = launch(env, table, sampler, sampler_state, key_fleet, settings.num_envs)
         params = network.init(key_params, encode(observation(fleet.state), camera.far)[:1])
         kl_coeff = jnp.asarray(settings.kl_coeff or 0.0, jnp.float32)

@@ -8,15 +8,18 @@ import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import jax
 import tyro
 
+from pecjax.commands import settings_args
 from pecjax.commands.drawing import draw
-from pecjax.commands.options import Option
+from pecjax.commands.options import Option, Rest
 from pecjax.errors import DivergedError, InputError
 from pecjax.experiments import presets
-from pecjax.experiments.grid import StudySettings
+from pecjax.experiments.grid import StudySettings, read_grid
+from pecjax.experiments.samplers import has_alpha, make_sampler
 from pecjax.experiments.studies import find_study
 from pecjax.experiments.study import run_study
 from pecjax.experiments.study_directory import StudyDirectory
@@ -34,7 +37,8 @@ class Study:
         scale: of a named study: smoke (seconds, to try it), laptop (our presets, for two cores) or
             paper (its iteration counts and RLlib's settings). (default: laptop)
         preset: the settings all runs share. (default: the study's; for a grid of your own, fast)
-        samplers: pec, uniform or both. (default: the study's, or both)
+        samplers: pec, uniform, or some of your own as my.module:Class. (default: the study's, or pec
+            and uniform)
         alphas: each is tried with pec. (default: the study's, or 0.2)
         coordinates: the paper's sets 1 and 2, or files. (default: the study's, or 1)
         seeds: numbers, or ranges such as 0-9. (default: the study's, or 0-4)
@@ -42,7 +46,10 @@ class Study:
         evaluate_every: iterations between evaluations. (default: as for the iterations)
         scene: a map and drone in MJCF. (default: the paper's six rooms)
         at_once: runs in one program. (default: as many as there are devices)
+        grid: another setting to vary, and its values: ppo.learning_rate 1e-4 3e-4, or sampler.floor 0 0.1;
+            may be given several times.
         out: the study's folder. (default: studies/NAME-SCALE, or studies/own)
+        settings: options by their dotted paths (see `settings_args`).
     """
 
     name: tyro.conf.Positional[Option[str]] = None
@@ -56,7 +63,9 @@ class Study:
     evaluate_every: Option[int] = None
     scene: Option[str] = None
     at_once: Option[int] = None
+    grid: Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction] = ()
     out: Option[Path] = None
+    settings: Rest = ()
 
     def run(self) -> None:
         """Trains, summarizes and draws."""
@@ -95,9 +104,15 @@ class Study:
         run = presets.override(
             study.run, iterations=self.iterations, evaluate_every=self.evaluate_every, scene=self.scene
         )
+        if any(word.startswith("--sampler.") for word in self.settings):
+            raise InputError("a study tries its samplers' numbers; give --samplers and --alphas")
+        run = settings_args.apply(run, self.settings, Study)
         given = {name: value for name, value in changes.items() if value is not None}
         settings = dataclasses.replace(study, run=run, **given)
-        if self.alphas and not any(map(presets.has_alpha, settings.samplers)):
+        if self.grid:
+            grid = tuple(read_grid(run, settings.samplers, words) for words in self.grid)
+            settings = dataclasses.replace(settings, grid=grid)
+        if self.alphas and not any(has_alpha(make_sampler(name)) for name in settings.samplers):
             raise InputError(f"samplers: {', '.join(settings.samplers)} has no alpha; leave out --alphas")
         return settings
 

@@ -6,11 +6,13 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from pecjax.commands import settings_args
 from pecjax.commands.drawing import draw
-from pecjax.commands.options import Option
+from pecjax.commands.options import Option, Rest
 from pecjax.errors import InputError
 from pecjax.experiments import presets, processes, training
 from pecjax.experiments.run_directory import RunDirectory
+from pecjax.experiments.samplers import sampler_name
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,8 @@ class Train:
         preset: where the settings begin from: fast, rllib085 (the paper's own) or image (64×48) for
             ppo, apex-fast or apex-rllib085 for apex. (default: fast or apex-fast)
         algorithm: the learner: ppo or apex. (default: the preset's)
-        sampler: how the next configuration is chosen: pec or uniform.
+        sampler: how the next configuration is chosen: pec, uniform, or one of your own as
+            my.module:Class. (default: the preset's)
         alpha: α of PEC, 0 or more; the larger, the nearer to uniform. (default: 0.2)
         coordinates: the paper's set 1 or 2, or a file of lines 'x, y, x, y'. (default: 1)
         scene: a map and drone in MJCF. (default: the paper's six rooms)
@@ -39,6 +42,7 @@ class Train:
             the first, or auto under SLURM or Open MPI. (default: this process is alone)
         num_processes: how many there are; auto knows.
         process_id: which of them this is, from 0; auto knows.
+        settings: options by their dotted paths (see `settings_args`).
     """
 
     preset: Option[str] = None
@@ -59,6 +63,7 @@ class Train:
     coordinator: Option[str] = None
     num_processes: Option[int] = None
     process_id: Option[int] = None
+    settings: Rest = ()
 
     def run(self) -> None:
         """Trains, then draws."""
@@ -84,9 +89,9 @@ class Train:
             patience=self.patience,
             greedy=False if self.sampled_evaluation else None,
         )
-        if self.alpha is not None and not presets.has_alpha(settings.sampler):
-            raise InputError(f"the sampler {settings.sampler} has no alpha; leave out --alpha")
-        folder = self.out or Path("runs") / time.strftime(f"{settings.sampler}-%Y%m%d-%H%M%S")
+        settings = settings_args.apply(settings, self.settings, Train)
+        name = sampler_name(settings.sampler).rpartition(":")[2].lower()
+        folder = self.out or Path("runs") / time.strftime(f"{name}-%Y%m%d-%H%M%S")
         go = training.resume if self.resume else training.train
         summary = go(settings, folder, self.devices)
         if not processes.is_lead():

@@ -1,8 +1,10 @@
-"""The sampler's contract, and the counts of outcomes that samplers learn from."""
+"""The sampler's contract: what it is, what it is told, and how a run names one."""
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -32,7 +34,8 @@ class Sampler(NamedTuple):
     """A way to choose configurations: four pure functions over a state that is a pytree.
 
     Attributes:
-        init: () -> state.
+        init: (**numbers) -> state. Numbers that the sampler has are in its state, where a study
+            may vary them under `vmap`; given here by name, they take the place of its own.
         probabilities: (state) -> (N,), sums to 1.
         sample: (state, key, shape=()) -> int32 configuration numbers of that shape, a tuple or an
             int. It only reads the state.
@@ -44,6 +47,32 @@ class Sampler(NamedTuple):
     probabilities: Callable[[Any], jax.Array]
     sample: Callable[..., jax.Array]
     update: Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class SamplerSettings(abc.ABC):
+    """A kind of sampler with its numbers: extend it by a frozen dataclass, and a run can name it.
+
+    Example:
+        @dataclass(frozen=True)
+        class Learnability(SamplerSettings):
+            floor: float = 0.05
+
+            def make(self, num_configs: int) -> Sampler:
+                def priority(trials, failures, numbers):
+                    p = failures / jnp.maximum(trials, 1)
+                    return jnp.where(trials > 0, p * (1 - p) + numbers["floor"], 1.0)
+
+                return from_counts(num_configs, {"floor": self.floor}, priority)
+    """
+
+    @abc.abstractmethod
+    def make(self, num_configs: int) -> Sampler:
+        """The sampler over N configurations.
+
+        Raises:
+            InputError: a number out of its range, or no configuration.
+        """
 
 
 def count_outcomes(outcomes: Outcomes, num_configs: int, axis_name: str | None = None) -> jax.Array:
@@ -67,12 +96,6 @@ def count_outcomes(outcomes: Outcomes, num_configs: int, axis_name: str | None =
         for flags in (done, done & failed.astype(bool))
     ])  # fmt: skip
     return counts if axis_name is None else jax.lax.psum(counts, axis_name)
-
-
-def check_num_configs(num_configs: int) -> None:
-    """Raises InputError where there is no configuration to draw."""
-    if num_configs < 1:
-        raise InputError(f"num_configs is {num_configs}; a sampler needs at least 1 configuration")
 
 
 def _broadcast(outcomes: Outcomes) -> list[Any]:

@@ -2,46 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 
-from pecjax.curriculum.base import Outcomes, Sampler, check_num_configs, count_outcomes
-from pecjax.curriculum.draws import sample_ids
+from pecjax.curriculum.base import Sampler, SamplerSettings
+from pecjax.curriculum.counts import from_counts
 
 
-class UniformState(NamedTuple):
-    """What came of the draws, which do not depend on it.
+@dataclass(frozen=True)
+class Uniform(SamplerSettings):
+    """Draws every configuration with probability 1 / N."""
 
-    Attributes:
-        counts: (2, N) int32, trials and failures over the whole training: the failure ratios of a
-            baseline, to compare another sampler's with.
-    """
-
-    counts: jax.Array
+    def make(self, num_configs: int) -> Sampler:
+        """The sampler over N configurations."""
+        return uniform(num_configs)
 
 
 def uniform(num_configs: int) -> Sampler:
     """Draws every configuration with probability 1 / N.
 
+    It counts trials and failures too: the failure ratios of a baseline, to compare another
+    sampler's with. It draws as PEC does: with one key, both begin a training alike.
+
     Raises:
         InputError: fewer than one configuration.
     """
-    check_num_configs(num_configs)
 
-    def init() -> UniformState:
-        return UniformState(jnp.zeros((2, num_configs), jnp.int32))
+    def priority(trials: jax.Array, failures: jax.Array, numbers: dict[str, jax.Array]) -> jax.Array:
+        return jnp.ones(trials.shape)
 
-    def probabilities(state: UniformState) -> jax.Array:
-        return jnp.full(num_configs, 1 / num_configs)
-
-    def sample(state: UniformState, key: jax.Array, shape: int | Sequence[int] = ()) -> jax.Array:
-        # As PEC draws: with one key, both begin a training with the same configurations.
-        return sample_ids(probabilities(state), key, shape)
-
-    def update(state: UniformState, outcomes: Outcomes, axis_name: str | None = None) -> UniformState:
-        return UniformState(state.counts + count_outcomes(outcomes, num_configs, axis_name))
-
-    return Sampler(init, probabilities, sample, update)
+    return from_counts(num_configs, {}, priority)

@@ -22,8 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pecjax.errors import InputError
-from pecjax.experiments.plain_files import differences
 from pecjax.experiments.processes import is_lead, on_host
+from pecjax.settings_tree import differences
 
 
 class BrokenFileError(Exception):
@@ -77,6 +77,7 @@ def read_arrays(
     path: Path,
     like: Any,
     about: dict[str, Any] | None = None,
+    former_about: Callable[[Any], Any] = lambda about: about,
     former_name: Callable[[str], str] = lambda name: name,
 ) -> Any:
     """Reads a tree back, its leaves placed on the devices where those of `like` have a sharding.
@@ -84,6 +85,7 @@ def read_arrays(
     Args:
         like: a tree of the same structure, of arrays or their shapes.
         about: what the arrays must belong to, if that matters.
+        former_about: makes of what older versions wrote there what is written today.
         former_name: the name under which older versions wrote the array of a name that is missing;
             its integers may have been of another width.
 
@@ -98,7 +100,7 @@ def read_arrays(
             found = _headers(file)
             written = _read_about(file, found)
             if about is not None:
-                differing = list(differences(written, json.loads(json.dumps(about))))
+                differing = list(differences(former_about(written), json.loads(json.dumps(about))))
                 _check(path, file, differing, "belongs to a run that differs in")
             plain = {name: _plain_shape(leaf) for name, leaf in wanted.items()}
             source = {name: name if name in found else former_name(name) for name in plain}

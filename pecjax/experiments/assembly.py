@@ -15,7 +15,7 @@ from pecjax.curriculum import Sampler
 from pecjax.experiments import evaluation
 from pecjax.experiments.amounts import image_bytes
 from pecjax.experiments.devices import check_memory
-from pecjax.experiments.presets import SAMPLERS, RunSettings, check_settings
+from pecjax.experiments.presets import RunSettings, check_settings
 from pecjax.world.coordinates import Configurations, load_coordinates
 from pecjax.world.navigation import RoomsNavigation
 from pecjax.world.scene import Scene, default_scene_path, load_scene
@@ -80,7 +80,7 @@ def build(
     """
     check_settings(settings)
     env = RoomsNavigation(scene, table)
-    sampler = SAMPLERS[settings.sampler](table.size, settings.alpha)
+    sampler = settings.sampler.make(table.size)
     mesh = fleet_mesh(num_devices)
     agent = make_agent(settings, env, table, sampler, AXIS)
     if trains:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from pecjax.agents.agent import TrainState
 from pecjax.errors import InputError
+from pecjax.experiments import former_versions
 from pecjax.experiments.array_files import BrokenFileError, read_arrays, write_arrays
 from pecjax.experiments.processes import by_the_lead
 
@@ -117,22 +117,12 @@ class Checkpoints:
         for iteration in reversed(_iterations(self._states)):
             try:
                 path = _path(self._states, iteration)
-                return read_arrays(path, like, self._about, _former_name), said
+                former = former_versions.about, former_versions.array_name
+                return read_arrays(path, like, self._about, *former), said
             except BrokenFileError as error:
                 said.append(f"{error}; falling back to the one before")
         reason = "; ".join(said) or "no state to go on from"
         raise InputError(f"{self._states}: {reason}; train anew in another folder")
-
-
-def _former_name(name: str) -> str:
-    """Where the position of a run of the first version 0.1 holds what is now under `name`.
-
-    The configuration and the counters of an episode lay in Brax's `info`. Uniform sampling kept no
-    counts; a position has those of the whole training.
-    """
-    if name == ".state.sampler.counts":
-        return ".counts"
-    return re.sub(r"\.pipeline_state\.(config|step_count|standing_count)", r".info['\1']", name)
 
 
 def _path(folder: Path, iteration: int) -> Path:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import zip_longest
+from itertools import product, zip_longest
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from pecjax import settings_tree
 from pecjax.errors import InputError
-from pecjax.experiments.presets import RunSettings, check_settings, has_alpha
+from pecjax.experiments.presets import RunSettings, check_settings, override
+from pecjax.experiments.samplers import has_alpha, make_sampler
+
+Values = tuple[tuple[str, Any], ...]  # by dotted path
 
 
 class Member(NamedTuple):
@@ -17,26 +22,30 @@ class Member(NamedTuple):
 
     Attributes:
         coordinates: the paper's set 1 or 2, or a file.
-        sampler: a name in `SAMPLERS`.
+        sampler: a name that `make_sampler` knows.
         alpha: α where the sampler has one, else None.
         seed: of everything random in training: those with the same seed begin alike.
+        values: of other settings that the study varies.
     """
 
     coordinates: str
     sampler: str
     alpha: float | None
     seed: int
+    values: Values = ()
 
 
 @dataclass(frozen=True)
 class StudySettings:
-    """A grid of runs that differ in sampler, α, coordinates and seed, and in nothing else.
+    """A grid of runs that differ in sampler, α, coordinates, seed and `grid`, and in nothing else.
 
     Attributes:
         name: what the study is called.
         run: what all its runs share; what varies is taken from the fields below.
         samplers, alphas, coordinates, seeds: the grid; each α is tried with each sampler that has one.
         at_once: runs in one program, shared by the devices.
+        grid: further settings, of the learner or of samplers, and what each is tried with: dotted path
+            and values. Those of a sampler are tried with the samplers that have them.
     """
 
     name: str
@@ -46,6 +55,7 @@ class StudySettings:
     coordinates: tuple[str, ...] = ("1",)
     seeds: tuple[int, ...] = tuple(range(5))
     at_once: int = 2
+    grid: tuple[tuple[str, tuple[Any, ...]], ...] = ()
 
     def check(self) -> None:
         """Makes sure that every run of the grid can be run.
@@ -53,8 +63,8 @@ class StudySettings:
         Raises:
             InputError: the first thing that cannot.
         """
-        for name in ("samplers", "alphas", "coordinates", "seeds"):
-            values = getattr(self, name)
+        axes = {name: getattr(self, name) for name in ("samplers", "alphas", "coordinates", "seeds")}
+        for name, values in (*axes.items(), *self.grid):
             if not values:
                 raise InputError(f"{name} is empty; give at least one")
             twice = sorted({str(value) for value in values if values.count(value) > 1})
@@ -67,29 +77,61 @@ class StudySettings:
             raise InputError(f"at-once is {self.at_once}; it must be at least 1")
         if self.run.until_goal_ratio is not None:
             raise InputError("until-goal-ratio would end each run at another time; leave it out of a study")
+        self._check_grid()
         for sampler in self.samplers:
-            check_settings(dataclasses.replace(self.run, sampler=sampler))
+            check_settings(override(self.run, sampler=sampler))
         for alpha in self.alphas:
-            check_settings(dataclasses.replace(self.run, sampler="pec", alpha=alpha))
+            check_settings(override(self.run, sampler="pec", alpha=alpha))
         for seed in self.seeds:
-            check_settings(dataclasses.replace(self.run, seed=seed))
+            check_settings(override(self.run, seed=seed))
+        for sampler, values in product(self.samplers, self._values()):
+            settings = self.settings_of(Member("", sampler, None, 0, _that_it_has(sampler, values)))
+            check_settings(settings)
+            settings.learner.check()
+
+    def _check_grid(self) -> None:
+        paths = [path for path, _ in self.grid]
+        if len(set(paths)) < len(paths):
+            raise InputError(f"grid: {', '.join(paths)} name a setting twice; give all its values at once")
+        for path in paths:
+            if path == "sampler.alpha":
+                raise InputError("grid: sampler.alpha has an option of its own; give --alphas")
+            if not path.startswith(("sampler.", f"{self.run.algorithm}.")):
+                raise InputError(
+                    f"grid: {path} is neither of the sampler nor of {self.run.algorithm}; "
+                    "all runs of a study share it"
+                )
+            if path.startswith("sampler.") and not any(_has(name, path) for name in self.samplers):
+                raise InputError(f"grid: none of {', '.join(self.samplers)} has {path}; leave it out")
 
     def settings_of(self, member: Member) -> RunSettings:
         """The settings `pecjax train` would need for that run."""
-        alpha = self.run.alpha if member.alpha is None else member.alpha
-        return dataclasses.replace(self.run, **member._asdict() | {"alpha": alpha})
+        settings = override(
+            self.run,
+            coordinates=member.coordinates,
+            sampler=member.sampler,
+            alpha=member.alpha,
+            seed=member.seed,
+        )
+        for path, value in member.values:
+            settings = settings_tree.set_path(settings, path, value)
+        return settings
 
     def groups(self) -> list[list[Member]]:
-        """The runs, those that one program can run together: same coordinates, same sampler."""
-        return [
-            [
-                Member(coordinates, sampler, alpha, seed)
-                for seed in self.seeds
-                for alpha in (self.alphas if has_alpha(sampler) else (None,))
-            ]
-            for coordinates in self.coordinates
-            for sampler in self.samplers
-        ]
+        """The runs, those that one program can run together: all alike but for seeds and numbers."""
+        found: dict[tuple, list[Member]] = {}
+        for coordinates, sampler in product(self.coordinates, self.samplers):
+            alphas = self.alphas if has_alpha(make_sampler(sampler)) else (None,)
+            grid = dict.fromkeys(_that_it_has(sampler, values) for values in self._values())
+            for seed, alpha, values in product(self.seeds, alphas, grid):
+                member = Member(coordinates, sampler, alpha, seed, values)
+                found.setdefault((coordinates, sampler, fixed(values)), []).append(member)
+        return [*found.values()]
+
+    def _values(self) -> Iterator[Values]:
+        paths = [path for path, _ in self.grid]
+        for values in product(*(values for _, values in self.grid)):
+            yield tuple(zip(paths, values, strict=True))
 
     def slices(self) -> list[tuple[Member, ...]]:
         """The runs in the order they are made: low seeds first, the groups in turn."""
@@ -98,3 +140,43 @@ class StudySettings:
             for group in self.groups()
         ]
         return [part for turn in zip_longest(*cut) for part in turn if part is not None]
+
+
+def numbers(member: Member) -> dict[str, float]:
+    """The numbers of a run's sampler that are in its state: runs that differ in them share a program."""
+    varied = {} if member.alpha is None else {"alpha": member.alpha}
+    return varied | {p.removeprefix("sampler."): value for p, value in member.values if _is_number(p, value)}
+
+
+def fixed(values: Values) -> Values:
+    """The values that need a program of their own."""
+    return tuple((path, value) for path, value in values if not _is_number(path, value))
+
+
+def _is_number(path: str, value: Any) -> bool:
+    return path.startswith("sampler.") and isinstance(value, float)
+
+
+def _has(sampler: str, path: str) -> bool:
+    return path.removeprefix("sampler.") in dict(settings_tree.leaves(make_sampler(sampler)))
+
+
+def _that_it_has(sampler: str, values: Values) -> Values:
+    """The values without those of other samplers' settings."""
+    return tuple((p, value) for p, value in values if not p.startswith("sampler.") or _has(sampler, p))
+
+
+def read_grid(run: RunSettings, samplers: tuple[str, ...], words: tuple[str, ...]) -> tuple[str, tuple]:
+    """A path and its values, from words as a command line has them.
+
+    Raises:
+        InputError: no such setting, or a value that it does not take.
+    """
+    if len(words) < 2:
+        raise InputError(f"grid: '{' '.join(words)}' has no values; give a path and what it is tried with")
+    path, *values = (words[0].replace("-", "_"), *words[1:])
+    if path.startswith("sampler."):
+        name = next((name for name in samplers if _has(name, path)), samplers[0])
+        run = dataclasses.replace(run, sampler=make_sampler(name))
+    taken = [dict(settings_tree.leaves(settings_tree.set_path(run, path, value)))[path] for value in values]
+    return path, tuple(taken)

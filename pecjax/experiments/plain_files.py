@@ -8,16 +8,16 @@ import fcntl
 import io
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 import cattrs
 import numpy as np
 
+from pecjax import settings_tree
 from pecjax.errors import InputError
 from pecjax.experiments.processes import is_lead
-from pecjax.world.coordinates import Configurations
 from pecjax.world.mjcf_file import read_mjcf
 
 Row = dict[str, Any]
@@ -52,11 +52,12 @@ def json_text(content: dict[str, Any]) -> str:
     return json.dumps(content, indent=2) + "\n"
 
 
-def read_settings(path: Path, kind: type[Settings], what: str) -> Settings:
+def read_settings(path: Path, kind: type[Settings], what: str, today: Callable[[Any], Any]) -> Settings:
     """Reads the settings back that a file was written with.
 
     Args:
         what: a run or a study; what the folder is said to lack.
+        today: makes of a former version's settings what is written today.
 
     Raises:
         InputError: the file is missing, or this version cannot read it.
@@ -64,19 +65,13 @@ def read_settings(path: Path, kind: type[Settings], what: str) -> Settings:
     if not path.is_file():
         raise InputError(f"{path.parent}: no {what} here ({path.name} is missing); give a {what}'s folder")
     try:
-        return cattrs.structure(json.loads(path.read_text())["settings"], kind)
+        return settings_tree.from_json(today(json.loads(path.read_text())["settings"]), kind)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     except (ValueError, KeyError, TypeError, cattrs.BaseValidationError) as error:
         raise InputError(
             f"{path}: cannot be read as a {what}'s settings ({error}); give another {what}"
         ) from error
-
-
-def coordinates_text(table: Configurations) -> str:
-    """A coordinates file that reads back as the same table."""
-    text = io.StringIO()
-    rows = np.hstack([table.start, table.goal])
-    np.savetxt(text, rows, "%.9g", ",", header="start_x,start_y,goal_x,goal_y")
-    return text.getvalue()
 
 
 def scene_text(scene_path: Path) -> str:
@@ -86,15 +81,6 @@ def scene_text(scene_path: Path) -> str:
         InputError: it is no MJCF file, or needs files that are not.
     """
     return read_mjcf(scene_path).text
-
-
-def differences(before: Any, now: Any, name: str = "") -> Iterator[str]:
-    """Where two JSON values differ, in words."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in before | now:
-            yield from differences(before.get(key), now.get(key), f"{name}.{key}".lstrip("."))
-    elif before != now:
-        yield f"{name} ({before!r} there, {now!r} here)"
 
 
 def replace_file(path: Path, text: str) -> None:

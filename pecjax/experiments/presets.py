@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import jax
-
-from pecjax import curriculum
+from pecjax import settings_tree
 from pecjax.agents.apex_update import ApexSettings
 from pecjax.agents.networks import NetworkSettings
 from pecjax.agents.ppo_update import PPOSettings
 from pecjax.agents.q_network import QNetworkSettings
 from pecjax.agents.replay import ReplaySettings
-from pecjax.curriculum import Sampler
+from pecjax.curriculum import PEC, SamplerSettings
 from pecjax.errors import InputError
 from pecjax.experiments.amounts import check_amounts
-
-SAMPLERS: dict[str, Callable[[int, float | jax.Array], Sampler]] = {
-    "pec": lambda num_configs, alpha: curriculum.pec(num_configs, alpha),
-    "uniform": lambda num_configs, alpha: curriculum.uniform(num_configs),
-}
-WITHOUT_ALPHA = {"uniform"}
+from pecjax.experiments.samplers import has_alpha, make_sampler, sampler_name
 
 
 @dataclass(frozen=True)
@@ -34,8 +26,7 @@ class RunSettings:
         algorithm: the learner: `ppo` or `apex`.
         ppo, apex: the settings of either.
         resolution: (width, height) of the depth image, None for what the scene's camera says.
-        sampler: a name in `SAMPLERS`.
-        alpha: α of PEC.
+        sampler: how the next configuration is chosen.
         coordinates: the paper's set 1 or 2, or a file.
         scene: an MJCF file, None for the six rooms.
         seed: of everything random in training.
@@ -55,8 +46,7 @@ class RunSettings:
     ppo: PPOSettings = field(default_factory=PPOSettings)
     apex: ApexSettings = field(default_factory=ApexSettings)
     resolution: tuple[int, int] | None = None
-    sampler: str = "pec"
-    alpha: float = 0.2
+    sampler: SamplerSettings = PEC()
     coordinates: str = "1"
     scene: str | None = None
     seed: int = 0
@@ -161,15 +151,13 @@ def find_preset(name: str | None = None, algorithm: str | None = None) -> RunSet
 
 
 def check_settings(settings: RunSettings) -> None:
-    """Makes sure that the settings can be run with; the samplers check α themselves.
+    """Makes sure that the settings can be run with; the samplers check their numbers themselves.
 
     Raises:
         InputError: the first setting that cannot.
     """
     find_preset(algorithm=settings.algorithm)
-    if settings.sampler not in SAMPLERS:
-        raise InputError(f"unknown sampler '{settings.sampler}'; choose one of {', '.join(SAMPLERS)}")
-    SAMPLERS[settings.sampler](1, settings.alpha)
+    settings.sampler.make(1)
     counts = {
         "iterations": settings.iterations,
         "num-envs": settings.learner.num_envs,
@@ -190,14 +178,29 @@ def check_settings(settings: RunSettings) -> None:
     check_amounts(settings)
 
 
-def override(settings: RunSettings, num_envs: int | None = None, **changes: object) -> RunSettings:
-    """The settings with every change that is not None."""
+def override(
+    settings: RunSettings,
+    num_envs: int | None = None,
+    sampler: str | None = None,
+    alpha: float | None = None,
+    **changes: object,
+) -> RunSettings:
+    """The settings with every change that is not None.
+
+    Args:
+        sampler: a name; where it is that of the sampler there is, its numbers stay.
+
+    Raises:
+        InputError: no such sampler, or one that has no α.
+    """
+    if sampler is not None:
+        settings = dataclasses.replace(settings, sampler=make_sampler(sampler, settings.sampler))
+    if alpha is not None:
+        if not has_alpha(settings.sampler):
+            name = sampler_name(settings.sampler)
+            raise InputError(f"the sampler {name} has no alpha; leave out --alpha")
+        settings = settings_tree.set_path(settings, "sampler.alpha", alpha)
     if num_envs is not None:
         learner = settings.learner.with_envs(num_envs)
         settings = dataclasses.replace(settings, **{settings.algorithm: learner})
     return dataclasses.replace(settings, **{k: v for k, v in changes.items() if v is not None})
-
-
-def has_alpha(sampler: str) -> bool:
-    """Whether α means anything to the sampler of that name."""
-    return sampler not in WITHOUT_ALPHA

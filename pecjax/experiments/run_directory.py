@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import importlib.metadata
 import json
@@ -10,11 +9,13 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from pecjax import settings_tree
 from pecjax.errors import InputError
-from pecjax.experiments import plain_files
+from pecjax.experiments import former_versions, plain_files
 from pecjax.experiments.presets import RunSettings
 from pecjax.experiments.processes import by_the_lead
 from pecjax.experiments.provenance import FACTS, session_facts
+from pecjax.world.configuration_files import table_text
 from pecjax.world.coordinates import Configurations, load_coordinates
 
 HOW_LONG = ("iterations", "until_goal_ratio", "patience")  # settings that no iteration depends on
@@ -47,7 +48,7 @@ class RunDirectory:
                 plain_files.check_free(self.folder)
                 (self.folder / "figures").mkdir()
                 self.scene_path.write_text(scene)
-                (self.folder / "coordinates.csv").write_text(plain_files.coordinates_text(table))
+                (self.folder / "coordinates.csv").write_text(table_text(table))
                 self.record(settings, num_devices)
 
     def settings(self) -> RunSettings:
@@ -56,7 +57,8 @@ class RunDirectory:
         Raises:
             InputError: the folder holds no run, or one that this version cannot read.
         """
-        return plain_files.read_settings(self.folder / "config.json", RunSettings, "run")
+        path = self.folder / "config.json"
+        return plain_files.read_settings(path, RunSettings, "run", former_versions.run_settings)
 
     def table(self) -> Configurations:
         """Reads the configurations back."""
@@ -131,7 +133,7 @@ class RunDirectory:
             before = self._config()
             facts = {name: before.get(name) for name in FACTS}
             sessions = _sessions(before)
-        config = {"settings": dataclasses.asdict(settings)} | facts | {"sessions": [*sessions, session]}
+        config = {"settings": settings_tree.to_json(settings)} | facts | {"sessions": [*sessions, session]}
         self.write_json("config.json", config)
 
     def num_devices(self) -> int | None:
@@ -146,7 +148,7 @@ class RunDirectory:
 
     def differences(self, settings: RunSettings) -> list[str]:
         """What a run that goes on with these settings would do otherwise than before."""
-        return list(plain_files.differences(_what_matters(self.settings()), _what_matters(settings)))
+        return list(settings_tree.differences(_what_matters(self.settings()), _what_matters(settings)))
 
     def identity(self) -> dict[str, Any]:
         """All that an iteration depends on: settings, map, coordinates and version."""
@@ -174,4 +176,5 @@ def _place(path: Path, header: list[str], column: str) -> int:
 
 def _what_matters(settings: RunSettings) -> dict[str, Any]:
     """Settings that iterations depend on."""
-    return {name: value for name, value in dataclasses.asdict(settings).items() if name not in HOW_LONG}
+    content = settings_tree.to_json(settings)
+    return {name: value for name, value in content.items() if name not in HOW_LONG}

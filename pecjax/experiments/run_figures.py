@@ -24,8 +24,8 @@ from pecjax.experiments.drawing import (
 )
 from pecjax.experiments.map_figure import rooms
 from pecjax.experiments.measures import trial_and_failure_ratios
-from pecjax.experiments.plain_files import exact_text
 from pecjax.experiments.run_directory import RunDirectory
+from pecjax.experiments.samplers import sampler_label
 from pecjax.world.scene import load_scene
 
 _COLUMNS = {
@@ -45,9 +45,8 @@ def draw_run(folder: Path) -> list[Path]:
     run = RunDirectory(folder)
     settings = run.settings()
     tables = {name: read_table(folder / f"{name}.csv", columns) for name, columns in _COLUMNS.items()}
-    label = settings.sampler + (f" (α = {exact_text(settings.alpha)})" if settings.sampler == "pec" else "")
-    label += f", {LEARNERS[settings.algorithm]}, coordinates {Path(settings.coordinates).name}"
-    label += f", seed {settings.seed}"
+    label = f"{sampler_label(settings.sampler)}, {LEARNERS[settings.algorithm]}"
+    label += f", coordinates {Path(settings.coordinates).name}, seed {settings.seed}"
     metrics, evaluation = tables["metrics"], tables["evaluation"]
     figures = {
         "goal_ratio": goal_ratio(metrics, evaluation, settings.greedy),

@@ -16,7 +16,7 @@ from pecjax.errors import DivergedError, StoppedError
 from pecjax.experiments import tables
 from pecjax.experiments.assembly import load_world
 from pecjax.experiments.evaluation import Flights
-from pecjax.experiments.grid import Member, StudySettings
+from pecjax.experiments.grid import Member, StudySettings, fixed, numbers
 from pecjax.experiments.interruption import Interruption
 from pecjax.experiments.measures import cvar
 from pecjax.experiments.plain_files import Row, exact_text, writing
@@ -77,14 +77,14 @@ def _make_slices(
         progress.say(f"notice: {line}")
     for line in directory.verify(len(slices)):
         progress.say(line)
-    programs: dict[tuple[str, str, int], Program] = {}
+    programs: dict[tuple, Program] = {}
     for number, members in enumerate(slices):
         if directory.holds(number):
             progress.skip(len(members) * settings.run.iterations)
             continue
         _stop_if_asked(interruption)
         first = members[0]
-        key = (first.coordinates, first.sampler, len(members))
+        key = (first.coordinates, first.sampler, fixed(first.values), len(members))
         if key not in programs:
             _, scene, table = worlds[first.coordinates]
             programs[key] = make_program(settings.settings_of(first), scene, table, len(members))
@@ -104,9 +104,10 @@ def _train(
     """Trains the runs of one slice to their end: their rows, and in words those that diverged."""
     run = settings.run
     seeds = np.array([member.seed for member in members], np.int32)
-    alphas = np.array([settings.settings_of(member).alpha for member in members], np.float32)
+    found = [numbers(member) for member in members]
+    varied = {name: np.array([of_run[name] for of_run in found], np.float32) for name in found[0]}
     rows = [_Rows(settings, member, program.steps_per_iteration) for member in members]
-    states = program.init(seeds, alphas)
+    states = program.init(seeds, varied)
     done, diverged = 0, []
     while done < run.iterations:
         begun = time.perf_counter()
@@ -157,10 +158,11 @@ class _Rows:
     """The rows of one run, as they come."""
 
     def __init__(self, settings: StudySettings, member: Member, batch: int) -> None:
-        named: Row = {"study": settings.name} | member._asdict()
+        named: Row = {"study": settings.name, **member._asdict(), **dict(member.values)}
+        del named["values"]
         self._run = ", ".join(f"{name} {value}" for name, value in named.items() if value is not None)
-        alpha = None if member.alpha is None else exact_text(member.alpha)
-        self._head: Row = named | {"alpha": alpha}
+        exact = {n: exact_text(value) if isinstance(value, float) else value for n, value in named.items()}
+        self._head: Row = exact | {path: exact.get(path) for path, _ in settings.grid}
         self._batch = batch
         self._counts: Any = 0
         self._since_evaluation: list[float] = []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import hashlib
 import json
 import os
@@ -12,10 +11,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from pecjax import settings_tree
 from pecjax.errors import InputError
-from pecjax.experiments import plain_files
+from pecjax.experiments import former_versions, plain_files
 from pecjax.experiments.grid import StudySettings
 from pecjax.experiments.provenance import environment_facts, short_commit
+from pecjax.world.configuration_files import table_text
 from pecjax.world.coordinates import Configurations, load_coordinates
 from pecjax.world.scene import Scene
 
@@ -49,7 +50,8 @@ class StudyDirectory:
         Raises:
             InputError: the folder holds no study, or one that this version cannot read.
         """
-        return plain_files.read_settings(self.folder / "study.json", StudySettings, "study")
+        path = self.folder / "study.json"
+        return plain_files.read_settings(path, StudySettings, "study", former_versions.study_settings)
 
     def table(self, coordinates: str) -> Configurations:
         """Reads the configurations of one of the study's sets back."""
@@ -68,10 +70,10 @@ class StudyDirectory:
                 cannot be written.
         """
         self._facts = environment_facts(num_devices)
-        content = {"settings": dataclasses.asdict(settings)} | self._facts
+        content = {"settings": settings_tree.to_json(settings)} | self._facts
         files = {"scene.xml": plain_files.scene_text(next(iter(worlds.values()))[0])}
         for coordinates, (_, _, table) in worlds.items():
-            files[self._coordinates_path(coordinates).name] = plain_files.coordinates_text(table)
+            files[self._coordinates_path(coordinates).name] = table_text(table)
         self._check_free()  # before the folder is made, which the lock needs
         with plain_files.writing(self.folder, "choose another --out"):
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -99,10 +101,11 @@ class StudyDirectory:
     def _compare(self, content: dict[str, Any], files: dict[str, str]) -> None:
         self.settings()
         held = json.loads((self.folder / "study.json").read_text())
+        held["settings"] = former_versions.study_settings(held.get("settings"))
         differing = [
             difference
             for part in ("settings", "versions")
-            for difference in plain_files.differences(held.get(part), content[part])
+            for difference in settings_tree.differences(held.get(part), content[part])
         ]
         for name, text in files.items():
             path = self.folder / name

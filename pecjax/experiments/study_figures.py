@@ -12,7 +12,7 @@ from pecjax.experiments.drawing import LEARNERS, save
 from pecjax.experiments.study_curves import evaluation, exits, goal_ratio, spread
 from pecjax.experiments.study_directory import StudyDirectory
 from pecjax.experiments.study_ends import alphas, maps, steps_to_threshold
-from pecjax.experiments.study_report import StudyTables, by_run, read_study
+from pecjax.experiments.study_report import StudyTables, by_run, read_study, varied_columns
 from pecjax.world.coordinates import Configurations
 from pecjax.world.scene import Scene, load_scene
 
@@ -54,7 +54,7 @@ def _figures(tables: StudyTables, scene: Scene, table: Configurations) -> Iterat
     yield "steps_to_threshold", steps_to_threshold(runs)
     yield "map", maps(tables.results, scene, table)
     for condition, rows in tables.configurations.groupby("condition", sort=False):
-        stem = f"configurations-{condition.replace(', α = ', '-')}"
+        stem = f"configurations-{condition.replace(', α = ', '-').replace(', ', '-').replace(' = ', '-')}"
         yield stem, configurations(rows, f"{condition}, ", ", all seeds")
-    if tables.results.alpha.nunique() > 1:
+    if tables.results.alpha.nunique() > 1 and not varied_columns(tables.results):
         yield "alpha", alphas(runs)

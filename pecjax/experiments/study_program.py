@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import PartitionSpec
 
-from pecjax.agents.agent import AXIS, Agent, Metrics, TrainState, fleet_mesh
+from pecjax.agents.agent import AXIS, Metrics, TrainState, fleet_mesh
 from pecjax.experiments.assembly import make_agent
 from pecjax.experiments.devices import check_memory, choose_num_devices
 from pecjax.experiments.evaluation import Flights, even_draw, make_flyer
-from pecjax.experiments.presets import SAMPLERS, RunSettings
+from pecjax.experiments.presets import RunSettings
 from pecjax.world.coordinates import Configurations
 from pecjax.world.navigation import RoomsNavigation
 from pecjax.world.scene import Scene
@@ -24,20 +24,20 @@ class Program(NamedTuple):
     """K runs; every leaf of every argument and result has a leading axis K.
 
     Attributes:
-        init: (seeds, alphas) -> states.
+        init: (seeds, numbers of the sampler by name) -> states.
         iterate: (states) -> (states, metrics).
         evaluate: (learners) -> flights, without their paths.
         steps_per_iteration: of each run.
     """
 
-    init: Callable[[np.ndarray, np.ndarray], TrainState]
+    init: Callable[[np.ndarray, dict[str, np.ndarray]], TrainState]
     iterate: Callable[[TrainState], tuple[TrainState, Metrics]]
     evaluate: Callable[[Any], Flights]
     steps_per_iteration: int
 
 
 def make_program(settings: RunSettings, scene: Scene, table: Configurations, runs: int) -> Program:
-    """Makes the program that trains so many runs, which differ in seed and α.
+    """Makes the program that trains so many runs, which differ in seed and in numbers of their sampler.
 
     Every device has whole runs to itself, so devices never wait for one another within an
     iteration, and a run is what it would be on one device alone.
@@ -49,16 +49,13 @@ def make_program(settings: RunSettings, scene: Scene, table: Configurations, run
     devices = choose_num_devices(None, runs)
     mesh = fleet_mesh(devices)
 
-    def agent_with(alpha: float | jax.Array) -> Agent:
-        return make_agent(settings, env, table, SAMPLERS[settings.sampler](table.size, alpha))
-
-    agent = agent_with(settings.alpha)
+    agent = make_agent(settings, env, table, settings.sampler.make(table.size))
     check_memory(agent.replay_bytes * runs, devices)
     fly = make_flyer(env, table, agent, greedy=settings.greedy, seed=settings.evaluation_seed)
     config_id = even_draw(table.size, settings.evaluation_episodes, settings.evaluation_seed)
 
-    def init(seed: jax.Array, alpha: jax.Array) -> TrainState:
-        return agent_with(alpha).init(jax.random.key(seed))
+    def init(seed: jax.Array, numbers: dict[str, jax.Array]) -> TrainState:
+        return agent.init(jax.random.key(seed), numbers)
 
     def evaluate(learner: Any) -> Flights:
         return fly(learner, jnp.asarray(config_id), jnp.arange(config_id.size))._replace(paths=None)
@@ -68,6 +65,6 @@ def make_program(settings: RunSettings, scene: Scene, table: Configurations, run
         many = jax.shard_map(jax.vmap(one), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
         return jax.jit(many, **options)
 
-    # α is in the sampler's state, so one `iterate` serves all.
+    # The numbers are in the sampler's state, so one `iterate` serves all.
     iterate = spread(agent.iterate, donate_argnums=0)
     return Program(spread(init), iterate, spread(evaluate), agent.steps_per_iteration)

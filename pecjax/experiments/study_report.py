@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -39,7 +39,7 @@ _COLUMNS = {
 
 
 class StudyTables(NamedTuple):
-    """A study's tables, each with a column `condition`: the sampler and all digits of its α."""
+    """A study's tables, each with a column `condition`: the sampler and all digits of what it varies."""
 
     results: pd.DataFrame
     metrics: pd.DataFrame
@@ -58,9 +58,10 @@ def read_study(folder: Path) -> StudyTables:
     found = {name: read_table(folder / f"{name}.csv", columns) for name, columns in _COLUMNS.items()}
     for name, table in found.items():
         table["alpha"] = [in_full.get(alpha, alpha) for alpha in table.alpha]
-        pairs = zip(table.sampler, table.alpha, strict=True)
+        varied = ["alpha", *varied_columns(table)]
         table["condition"] = [
-            s if np.isnan(alpha) else f"{s}, α = {plain_files.exact_text(alpha)}" for s, alpha in pairs
+            _condition(sampler, dict(zip(varied, values, strict=True)))
+            for sampler, *values in table[["sampler", *varied]].itertuples(index=False)
         ]
         keys = ["coordinates", "condition", "seed", "iteration", *_COLUMNS[name] & {"config"}]
         twice = table.loc[table.duplicated(keys)]
@@ -72,6 +73,23 @@ def read_study(folder: Path) -> StudyTables:
                 "train the study again in another folder"
             )
     return StudyTables(**found)
+
+
+def varied_columns(table: pd.DataFrame) -> list[str]:
+    """The columns of settings that a study varies by their dotted paths."""
+    return [
+        name for name in table.columns if name.partition(".")[0] in ("sampler", "ppo", "apex") and "." in name
+    ]
+
+
+def _condition(sampler: str, values: dict[str, Any]) -> str:
+    said = [
+        f"{'α' if path == 'alpha' else path.rpartition('.')[2]} = "
+        f"{plain_files.exact_text(value) if isinstance(value, float) else value}"
+        for path, value in values.items()
+        if not pd.isna(value)
+    ]
+    return ", ".join([sampler.rpartition(":")[2], *said])
 
 
 def by_run(tables: StudyTables) -> pd.DataFrame:
@@ -93,7 +111,7 @@ def by_run(tables: StudyTables) -> pd.DataFrame:
     for key, run in tables.results.groupby(keys, sort=False):
         training, drawn = trainings.get_group(key), draws.get_group(key)
         steps, ratios = run.env_steps.to_numpy(), run.goal_ratio.to_numpy()
-        row = run[[*keys, "sampler", "alpha"]].iloc[0].to_dict() | {
+        row = run[[*keys, "sampler", "alpha", *varied_columns(run)]].iloc[0].to_dict() | {
             "goal_ratio": ratios[-1],
             "cvar": run.cvar.iloc[-1],
             "area_under_curve": area_under_curve(steps, ratios),
@@ -131,11 +149,14 @@ def summary(runs: pd.DataFrame) -> Iterator[plain_files.Row]:
 
 
 def paired(runs: pd.DataFrame) -> Iterator[plain_files.Row]:
-    """One row a condition and measure: differences from the baseline, seed by seed."""
-    for coordinates, rows in runs.groupby("coordinates", sort=False):
+    """One row a condition and measure: differences from the baseline, seed by seed.
+
+    Where settings of the learner vary too, the baseline has the same ones.
+    """
+    for coordinates, rows in _comparable(runs):
         table = rows.pivot(index="seed", columns="condition", values=[*RATIOS, *STEPS])
         there = list(dict.fromkeys(rows.condition))
-        baseline = BASELINE if BASELINE in there else there[0]
+        baseline = next((c for c in there if c.partition(",")[0] == BASELINE), there[0])
         for condition in there:
             if condition == baseline:
                 continue
@@ -157,6 +178,16 @@ def paired(runs: pd.DataFrame) -> Iterator[plain_files.Row]:
                     found = paired_difference(ours[both], theirs[both])
                     p = sign_flip_p(ours[both] - theirs[both])
                 yield head | {"measure": name} | counts | _columns("difference", found) | {"p": p}
+
+
+def _comparable(runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+    """The runs by coordinates, and by the learner's settings where more than one sampler has each."""
+    shared = [name for name in varied_columns(runs) if not name.startswith("sampler.")]
+    for coordinates, rows in runs.groupby("coordinates", sort=False):
+        blocks = [block for _, block in rows.groupby(shared, sort=False)] if shared else [rows]
+        alone = all(block.condition.nunique() == 1 for block in blocks)
+        for block in [rows] if alone else blocks:
+            yield str(coordinates), block
 
 
 def _columns(name: str, found: Interval) -> dict[str, float]:

@@ -2,37 +2,45 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import numpy as np
+from flax import struct
 
 from pecjax.errors import InputError
+from pecjax.world.axes import axes_of, axis
+from pecjax.world.configuration_files import line_of, read_table
 
 MAX_COORDINATE = 1e6  # m; what lies beyond is a typo
-COLUMNS = ("start_x", "start_y", "goal_x", "goal_y")  # of a file with a header
-_WORD = re.compile(r"(?!(nan|inf|infinity)$)[a-z_]\w*")  # and no number
 
 
-class Configurations(NamedTuple):
+@struct.dataclass
+class Configurations:
     """A table of environment configurations, one per row of every leaf.
 
-    A further quantity that varies by episode (wind, mass, a map's number) is a further field.
+    A further quantity that varies by episode (wind, mass, a map's number) is a further axis: files
+    of configurations have it at once.
 
     Attributes:
         start: (N, 2) m, where the drone begins.
         goal: (N, 2) m, where it must go.
     """
 
-    start: jax.Array | np.ndarray
-    goal: jax.Array | np.ndarray
+    start: jax.Array | np.ndarray = axis(
+        "start_x start_y", unit="m", low=-MAX_COORDINATE, high=MAX_COORDINATE
+    )
+    goal: jax.Array | np.ndarray = axis("goal_x goal_y", unit="m", low=-MAX_COORDINATE, high=MAX_COORDINATE)
 
     @property
     def size(self) -> int:
         """N, the number of configurations."""
         return self.start.shape[0]
+
+    def __iter__(self) -> Iterator[jax.Array | np.ndarray]:
+        """The arrays in their order: start, goal = table."""
+        return (getattr(self, name) for name in axes_of(type(self)))
 
 
 def _there_and_back(pairs: list[tuple[tuple[float, float], tuple[float, float]]]) -> Configurations:
@@ -79,90 +87,21 @@ _SETS = {"1": COORDINATE_SET_1, "2": COORDINATE_SET_2}
 def load_coordinates(name: str | Path) -> Configurations:
     """Reads a set of coordinates: `1` or `2` for the paper's, else the path of a text file.
 
-    A file has one configuration a line: start x, start y, goal x, goal y in metres, separated by
-    commas or blanks; empty lines and what follows a `#` are ignored. A first line with the names
-    start_x, start_y, goal_x and goal_y, with or without a `#`, may give another order.
+    `configuration_files.read_table` says what a file may look like. Without a header a line is start
+    x, start y, goal x, goal y in metres.
 
     Raises:
-        InputError: no such set or file, an unknown column, a line that is not four finite numbers,
-            or no line at all.
+        InputError: no such set or file, or one that is no table of configurations.
     """
     if str(name) in _SETS:
         return _SETS[str(name)]
-    table = np.array([row for _, row in _rows(Path(name))]).astype(np.float32)
-    return Configurations(start=table[:, :2], goal=table[:, 2:])
-
-
-def _rows(path: Path) -> list[tuple[int, list[float]]]:
-    """The number of each line that holds a configuration, and its values in the order of `COLUMNS`."""
-    if not path.is_file():
-        raise InputError(f"coordinates '{path}': neither 1 nor 2 nor a file; give one of these")
-    try:
-        lines = path.read_text("utf-8-sig").splitlines()
-    except (UnicodeDecodeError, OSError) as error:
-        raise InputError(f"{path}: cannot be read as text ({error}); give a text file") from error
-    order: list[int] | None = None
-    rows: list[tuple[int, list[float]]] = []
-    for number, line in enumerate(lines, 1):
-        if order is None and not rows:
-            order = _header(path, number, line)
-            if order is not None:
-                continue
-        fields = _fields(line.split("#")[0])
-        if fields:
-            row = _row(path, number, line, fields)
-            rows.append((number, row if order is None else [row[column] for column in order]))
-    if not rows:
-        raise InputError(f"{path}: no coordinates; write one 'x, y, x, y' a line")
-    return rows
-
-
-def _fields(text: str) -> list[str]:
-    return text.replace(",", " ").split()
-
-
-def _header(path: Path, number: int, line: str) -> list[int] | None:
-    """Where each of `COLUMNS` stands, if the line is a header.
-
-    A line of words is one; a comment is one where it has four words and knows a column.
-
-    Raises:
-        InputError: a header with an unknown column, or without one of them.
-    """
-    names = [field.lower() for field in _fields(line.strip().removeprefix("#"))]
-    is_comment = line.strip().startswith("#")
-    if not names or not all(_WORD.fullmatch(name) for name in names):
-        return None
-    if is_comment and (len(names) != len(COLUMNS) or not set(names) & set(COLUMNS)):
-        return None
-    for column, name in enumerate(names, 1):
-        if name not in COLUMNS or name in names[: column - 1]:
-            what = "stands twice" if name in COLUMNS else "is unknown"
-            raise InputError(
-                f"{path}, line {number}, column {column}: '{name[:40]}' {what}; "
-                f"the columns are {', '.join(COLUMNS)}"
-            )
-    missing = [name for name in COLUMNS if name not in names]
-    if missing:
-        raise InputError(f"{path}, line {number}: no column {missing[0]}; write {', '.join(COLUMNS)}")
-    return [names.index(name) for name in COLUMNS]
-
-
-def _row(path: Path, number: int, line: str, fields: list[str]) -> list[float]:
-    try:
-        row = [float(field) for field in fields]
-    except ValueError:
-        row = []
-    if len(row) != 4 or not np.all(np.abs(row) <= MAX_COORDINATE):
-        raise InputError(
-            f"{path}, line {number}: '{line.strip()[:60]}' is not four numbers; "
-            "write start x, start y, goal x, goal y in metres"
-        )
-    return row
+    if not Path(name).is_file():
+        raise InputError(f"coordinates '{name}': neither 1 nor 2 nor a file; give one of these")
+    return read_table(Path(name), Configurations)
 
 
 def row_name(source: str | Path | None, row: int) -> str:
     """What messages call a row of a table that was read from `source`, None for no file."""
     if source is None or str(source) in _SETS:
         return f"configuration {row}"
-    return f"{source}, line {_rows(Path(source))[row][0]}: configuration {row}"
+    return f"{source}, line {line_of(Path(source), Configurations, row)}: configuration {row}"

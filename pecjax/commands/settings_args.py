@@ -1,0 +1,80 @@
+"""Settings on the command line: every leaf of a run's tree by its dotted path."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import re
+import sys
+from collections.abc import Sequence
+from typing import Any, get_type_hints
+
+from pecjax.commands.options import read
+from pecjax.experiments.presets import RunSettings
+
+# What has an option of its own in every command, or follows from one.
+_ELSEWHERE = {"preset", "algorithm", "coordinates", "scene", "seed", "iterations"}
+
+
+def split(words: Sequence[str], command: type) -> tuple[list[str], list[str]]:
+    """The words of a command line that are the command's own, and those that are settings.
+
+    An option is a setting where its name has a dot, or is a leaf of the tree and no option of the
+    command; the words up to the next option are its values.
+    """
+    own = {field.name for field in dataclasses.fields(command)}
+    leaves = {field.name for field in dataclasses.fields(RunSettings)} - _ELSEWHERE - own - {"sampler"}
+    kept: list[str] = []
+    settings: list[str] = []
+    into = kept
+    for word in words:
+        if word.startswith("--"):
+            name = word.removeprefix("--").partition("=")[0].replace("-", "_")
+            into = settings if "." in name or {name, name.removeprefix("no_")} & leaves else kept
+        into.append(word)
+    return kept, settings
+
+
+def apply(settings: RunSettings, words: Sequence[str], command: type) -> RunSettings:
+    """The settings with what the words of `split` change.
+
+    Raises:
+        InputError: no such setting, or a value that it does not take.
+    """
+    if not words:
+        return settings
+    tree = _tree(settings, command)
+    words = ["None" if word == "none" else word for word in words]
+    found = read(type(tree), words, default=tree)
+    return dataclasses.replace(settings, **vars(found))
+
+
+def print_help(settings: RunSettings, command: type) -> None:
+    """Prints every setting with its meaning, its values and its default."""
+    tree = _tree(settings, command)
+    about = f"All other settings by their dotted paths; the defaults are those of preset {settings.preset}."
+    # Boxes are drawn as the encoding allows.
+    text = io.TextIOWrapper(io.BytesIO(), encoding=sys.stdout.encoding, write_through=True)
+    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(text):
+        read(type(tree), ["--help"], default=tree, prog="[settings]", description=about)
+    text.seek(0)
+    shown = re.sub(r"\{None\}\|(\{[^}]*\}|\S+)", r"\1|none  ", text.read())  # as wide as before
+    print(shown.replace("(default: None)", "(default: none)"), end="")
+
+
+def _tree(settings: RunSettings, command: type) -> Any:
+    """What may be set: the tree without what the command has options for, and without the other learner."""
+    own = {field.name for field in dataclasses.fields(command)}
+    own = own | {"sampler"} if "samplers" in own else own - {"sampler"}  # a study has its own
+    other = "ppo" if settings.algorithm == "apex" else "apex"
+    hints = get_type_hints(RunSettings)
+    fields = [
+        (field.name, hints[field.name], dataclasses.field(default=getattr(settings, field.name)))
+        for field in dataclasses.fields(RunSettings)
+        if field.name not in own | _ELSEWHERE | {other}
+    ]
+    kind = dataclasses.make_dataclass(
+        "Settings", fields, frozen=True, namespace={"__doc__": RunSettings.__doc__}
+    )
+    return kind()

@@ -1,0 +1,157 @@
+"""Axes of configurations: one declaration says how an axis is stored, read, written and bounded."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from pecjax.errors import InputError
+from pecjax.settings_tree import nearest
+
+Table = TypeVar("Table")
+_KEY = "axis"
+
+
+class Axis(NamedTuple):
+    """What one field of a table of configurations holds.
+
+    Attributes:
+        columns: names in a file, one a number.
+        dtype: of the array.
+        default: of every number where a file does not say; None where it must.
+        unit: of all its columns, for people.
+        low, high: the bounds of every number.
+    """
+
+    columns: tuple[str, ...]
+    dtype: type[np.generic]
+    default: float | None
+    unit: str
+    low: float
+    high: float
+
+
+def axis(
+    columns: str,
+    *,
+    dtype: type[np.generic] = np.float32,
+    default: float | None = None,
+    unit: str = "",
+    low: float = -np.inf,
+    high: float = np.inf,
+) -> Any:
+    """Declares a field of a table: an array (N,) of one column, (N, k) of k columns.
+
+    Example:
+        @struct.dataclass
+        class Configurations:
+            start: jax.Array = axis("start_x start_y", unit="m")
+            wind: jax.Array = axis("wind", default=0.0, unit="m/s", low=-20, high=20)
+    """
+    about = Axis(tuple(columns.split()), dtype, default, unit, low, high)
+    return dataclasses.field(metadata={_KEY: about})
+
+
+def axes_of(kind: type) -> dict[str, Axis]:
+    """The axes of a table's class by the names of its fields."""
+    return {field.name: field.metadata[_KEY] for field in dataclasses.fields(kind)}
+
+
+def columns_of(kind: type) -> dict[str, Axis]:
+    """The axes of a table's class by the names of their columns, in order."""
+    return {column: about for about in axes_of(kind).values() for column in about.columns}
+
+
+def make_table(kind: type[Table], **values: Any) -> Table:
+    """A table of the class, from arrays for some of its axes and the defaults of the others.
+
+    Args:
+        values: (N,) or (N, k) each.
+
+    Raises:
+        InputError: no such axis, one missing that has no default, another shape, or a number out of
+            its bounds.
+    """
+    axes = axes_of(kind)
+    columns: dict[str, np.ndarray] = {}
+    for name, value in values.items():
+        if name not in axes:
+            raise InputError(f"no axis {name}{nearest(name, [*axes])}; there are {', '.join(axes)}")
+        numbers, wanted = np.asarray(value), axes[name].columns
+        shape = "(N,)" if len(wanted) == 1 else f"(N, {len(wanted)})"
+        if numbers.shape[1:] != (() if len(wanted) == 1 else (len(wanted),)) or not numbers.ndim:
+            raise InputError(f"{name} has shape {numbers.shape}; give an array {shape}")
+        columns |= dict(zip(wanted, numbers.reshape(len(numbers), -1).T, strict=True))
+    return from_columns(kind, columns)
+
+
+def from_columns(
+    kind: type[Table],
+    columns: Mapping[str, Any],
+    place: Callable[[int, str], str] = lambda row, column: f"configuration {row}",
+) -> Table:
+    """A table of the class from its columns, (N,) each; a missing axis takes its default.
+
+    Args:
+        place: what messages call a number, by row and column.
+
+    Raises:
+        InputError: an unknown column, a missing one, columns of several lengths, or a number that
+            is out of its bounds or no whole one where it must be.
+    """
+    known = columns_of(kind)
+    for name in columns:
+        if name not in known:
+            raise InputError(f"'{name}' is unknown{nearest(name, [*known])}; {_describe(known)}")
+    lengths = {len(values) for values in columns.values()}
+    if len(lengths) != 1:
+        raise InputError(f"the columns have {sorted(lengths)} rows; give as many of each")
+    (number,) = lengths
+    for name, values in columns.items():
+        _check(name, known[name], np.asarray(values, np.float64), place)
+    leaves = {}
+    for field, about in axes_of(kind).items():
+        missing = [name for name in about.columns if name not in columns]
+        if missing and (about.default is None or len(missing) < len(about.columns)):
+            raise InputError(f"no column {missing[0]}; {_describe(known)}")
+        parts = [np.full(number, about.default) if missing else columns[name] for name in about.columns]
+        stacked = np.stack([np.asarray(part) for part in parts], axis=-1).astype(about.dtype)
+        leaves[field] = stacked if len(about.columns) > 1 else stacked[:, 0]
+    return kind(**leaves)
+
+
+def to_columns(table: Any) -> dict[str, np.ndarray]:
+    """The columns of a table, (N,) each."""
+    columns = {}
+    for field, about in axes_of(type(table)).items():
+        numbers = np.asarray(getattr(table, field))
+        columns |= dict(zip(about.columns, numbers.reshape(len(numbers), -1).T, strict=True))
+    return columns
+
+
+def required(kind: type) -> list[str]:
+    """The columns without which there is no table."""
+    return [name for name, about in columns_of(kind).items() if about.default is None]
+
+
+def _check(name: str, about: Axis, values: np.ndarray, place: Callable[[int, str], str]) -> None:
+    whole = np.issubdtype(about.dtype, np.integer)
+    wrong = ~((values >= about.low) & (values <= about.high) & np.isfinite(values))
+    wrong |= whole & (values != np.round(values))
+    if wrong.any():
+        row = int(wrong.argmax())
+        kind = "a whole number" if whole else "a number"
+        bounds = [f"from {about.low:g}"] * (about.low > -np.inf) + [f"to {about.high:g}"] * (
+            about.high < np.inf
+        )
+        unit = f" {about.unit}" if about.unit else ""
+        raise InputError(
+            f"{place(row, name)}: {name} is {values[row]:g}; it must be {' '.join([kind, *bounds])}{unit}"
+        )
+
+
+def _describe(known: Mapping[str, Axis]) -> str:
+    return f"the columns are {', '.join(known)}"

@@ -1,0 +1,150 @@
+"""Grids of any setting: which runs there are, which share a program, and what is reported of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from synthetic import study_settings, write_study
+from test_settings_tree import OWN
+
+from pecjax import cli
+from pecjax.experiments import study_figures, study_report
+from pecjax.experiments.grid import StudySettings, fixed, numbers, read_grid
+from pecjax.experiments.presets import PRESETS
+from pecjax.experiments.studies import find_study
+from pecjax.experiments.study import run_study
+
+RUN = PRESETS["fast"]
+RATES = ("ppo.learning_rate", (1e-4, 3e-4))
+FLOORS = ("sampler.floor", (0.05, 0.5))
+GRID = StudySettings("own", RUN, ("pec", OWN, "uniform"), (0.1, 0.2), seeds=(0, 1), grid=(RATES, FLOORS))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def around_flights(gliding):
+    """What is tested here does not depend on how the drone flies."""
+
+
+def test_every_combination_is_a_run_and_a_sampler_has_its_own_settings_only():
+    GRID.check()
+    runs = [member for group in GRID.groups() for member in group]
+    assert len(runs) == len(set(runs))
+    by_sampler = pd.Series([member.sampler for member in runs]).value_counts()
+    assert by_sampler.to_dict() == {"pec": 2 * 2 * 2, OWN: 2 * 2 * 2, "uniform": 2 * 2}
+    assert set(runs) == {member for part in GRID.slices() for member in part}
+    for member in runs:
+        settings = GRID.settings_of(member)
+        assert settings.ppo.learning_rate == dict(member.values)["ppo.learning_rate"]
+        assert getattr(settings.sampler, "floor", None) == dict(member.values).get("sampler.floor")
+
+
+def test_what_differs_in_numbers_of_the_sampler_alone_shares_a_program():
+    groups = GRID.groups()
+    assert len(groups) == 3 * 2  # samplers × learning rates
+    for group in groups:
+        alike = {(member.coordinates, member.sampler, fixed(member.values)) for member in group}
+        assert len(alike) == 1
+        names = {tuple(numbers(member)) for member in group}
+        assert names == {{"pec": ("alpha",), OWN: ("floor",), "uniform": ()}[group[0].sampler]}
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (("ppo.learning-rate", "1e-4", "3e-4"), RATES),
+        (("ppo.num_epochs", "2", "4"), ("ppo.num_epochs", (2, 4))),
+        (("ppo.shuffle", "steps", "samples"), ("ppo.shuffle", ("steps", "samples"))),
+        (("sampler.floor", "0.05", "0.5"), FLOORS),
+    ],
+)
+def test_words_are_values_of_the_settings_type(words, found):
+    assert read_grid(RUN, ("pec", OWN), words) == found
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--grid", "ppo.learning_rate"], "'ppo.learning_rate' has no values"),
+        (["--grid", "ppo.lerning_rate", "1"], "no setting ppo.lerning_rate (did you mean learning_rate?)"),
+        (["--grid", "ppo.learning_rate", "fast"], "ppo.learning_rate is 'fast'; it takes float"),
+        (["--grid", "ppo.network.hidden", "64"], "ppo.network.hidden is '64'"),
+        (["--grid", "ppo.learning_rate", "1e-4", "1e-4"], "names 0.0001 more than once"),
+        (["--grid", "ppo.clip", "0.1", "--grid", "ppo.clip", "0.2"], "name a setting twice"),
+        (["--grid", "ppo.num_minibatches", "8", "5"], "5 minibatches do not divide 32 steps"),
+        (["--grid", "iterations", "3", "4"], "iterations is neither of the sampler nor of ppo"),
+        (["--grid", "seed", "3", "4"], "seed is neither of the sampler nor of ppo"),
+        (["--grid", "apex.batch_size", "8", "16"], "apex.batch_size is neither of the sampler nor of ppo"),
+        (["--grid", "sampler.alpha", "0", "1"], "sampler.alpha has an option of its own; give --alphas"),
+        (["--grid", "sampler.floor", "0", "1"], "no setting sampler.floor"),
+    ],
+)
+def test_grids_that_cannot_be_run_get_one_line_and_leave_nothing(words, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli.devices, "use_all_cores", lambda: None)
+    monkeypatch.setattr(cli.devices, "keep_compiled_programs", lambda: None)
+    assert cli.main(["study", *words]) == 2
+    out, err = capsys.readouterr()
+    assert said in err and err.count("\n") == 1 and out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def made_up(tmp_path_factory):
+    """A study whose goal ratios follow from the learning rate and the sampler."""
+    folder = tmp_path_factory.mktemp("grid") / "study"
+    settings = replace(study_settings(samplers=("pec", OWN, "uniform")), grid=(RATES, FLOORS))
+
+    def ratio(member, progress):
+        values = dict(member.values)
+        better = {"pec": 0.1, OWN: values.get("sampler.floor", 0), "uniform": 0.0}[member.sampler]
+        return progress * (0.4 + better + (values["ppo.learning_rate"] > 2e-4) * 0.1)
+
+    write_study(folder, settings, ratio)
+    return folder
+
+
+def test_tables_have_a_column_for_every_path_with_all_digits(made_up):
+    results = pd.read_csv(made_up / "results.csv", dtype=str)
+    assert set(results["ppo.learning_rate"]) == {"0.0001", "0.0003"}
+    floors = results.groupby("sampler")["sampler.floor"].agg(lambda column: set(column.dropna()))
+    assert floors.to_dict() == {"pec": set(), OWN: {"0.05", "0.5"}, "uniform": set()}
+    assert len(results) == 3 * 2 * (1 + 2 + 1) * results.iteration.nunique()
+
+
+def test_conditions_are_compared_at_equal_settings_of_the_learner(made_up):
+    study_report.write_report(made_up)
+    paired = pd.read_csv(made_up / "paired.csv")
+    last = paired[paired.measure == "goal_ratio"]
+    assert len(last) == 2 * 3  # learning rates × (PEC and two floors)
+    for row in last.itertuples():
+        rate = row.condition.partition("learning_rate = ")[2].partition(",")[0]
+        assert row.baseline == f"uniform, learning_rate = {rate}"
+    found = last.set_index("condition").difference
+    # Ratios are of ten episodes each.
+    np.testing.assert_allclose(found["pec, α = 0.2, learning_rate = 0.0001"], 0.1, atol=0.06)
+    np.testing.assert_allclose(found["Learnability, learning_rate = 0.0003, floor = 0.5"], 0.5, atol=0.06)
+
+
+def test_its_figures_are_drawn(made_up):
+    names = {path.stem for path in study_figures.draw_study(made_up)}
+    assert "configurations-Learnability-learning_rate-0.0003-floor-0.5" in {n.strip() for n in names}, names
+    assert "alpha" not in names
+
+
+@pytest.mark.slow
+def test_a_run_of_a_grid_is_the_run_that_its_settings_make(tmp_path):
+    smoke = find_study("fig4", "smoke")
+    study = replace(smoke, samplers=(OWN,), seeds=(3,), grid=(FLOORS, ("ppo.learning_rate", (1e-3, 1e-2))))
+    run_study(study, tmp_path / "grid")
+    found = pd.read_csv(tmp_path / "grid" / "metrics.csv")
+    assert found.groupby(["sampler.floor", "ppo.learning_rate"]).size().tolist() == [4] * 4
+    member = next(m for part in study.slices() for m in part if numbers(m) == {"floor": 0.5})
+    settings = study.settings_of(member)
+    alone = replace(study, run=replace(settings, coordinates="1"), grid=(("sampler.floor", (0.5,)),))
+    run_study(alone, tmp_path / "alone")
+    rate = settings.ppo.learning_rate
+    rows = found[(found["sampler.floor"] == 0.5) & (found["ppo.learning_rate"] == rate)]
+    wanted = pd.read_csv(tmp_path / "alone" / "metrics.csv")
+    columns = ["iteration", "env_steps", "goal_ratio", "episodes", "mean_return"]
+    pd.testing.assert_frame_equal(rows[columns].reset_index(drop=True), wanted[columns], rtol=1e-5)

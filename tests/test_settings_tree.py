@@ -1,0 +1,179 @@
+"""Trees of settings: dotted paths, kinds by address, and JSON that reads back as what was written."""
+
+import json
+import sys
+from dataclasses import dataclass, replace
+
+import pytest
+from jax import numpy as jnp
+
+from pecjax import InputError, settings_tree
+from pecjax.curriculum import PEC, SamplerSettings, Uniform, from_counts
+from pecjax.experiments.presets import PRESETS, RunSettings
+from pecjax.experiments.samplers import has_alpha, make_sampler, sampler_label
+
+CURRICULUM = "pecjax.curriculum"
+
+
+@dataclass(frozen=True)
+class Learnability(SamplerSettings):
+    floor: float = 0.05
+    power: float = 1.0
+
+    def make(self, num_configs):
+        def priority(trials, failures, numbers):
+            p = failures / jnp.maximum(trials, 1)
+            return (p * (1 - p)) ** numbers["power"] + numbers["floor"]
+
+        return from_counts(num_configs, {"floor": self.floor, "power": self.power}, priority)
+
+
+@dataclass(frozen=True)
+class Unfinished(SamplerSettings):
+    floor: float = 0.05
+
+
+@dataclass(frozen=True)
+class Demanding(SamplerSettings):
+    floor: float
+
+    def make(self, num_configs):
+        raise AssertionError
+
+
+OWN = f"{__name__}:Learnability"
+RUNS = {
+    **PRESETS,
+    "own": RunSettings(sampler=Learnability(floor=0.1)),
+    "uniform": RunSettings(sampler=Uniform(), resolution=(20, 10)),
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_tree_reads_back_from_json_as_it_was(name):
+    content = json.loads(json.dumps(settings_tree.to_json(RUNS[name])))
+    assert settings_tree.from_json(content, RunSettings) == RUNS[name]
+    assert list(settings_tree.differences(content, settings_tree.to_json(RUNS[name]))) == []
+
+
+def test_json_has_every_leaf_and_the_address_of_a_kind():
+    content = settings_tree.to_json(RUNS["own"])
+    assert content["sampler"] == {"kind": OWN, "floor": 0.1, "power": 1.0}
+    assert "kind" not in content["ppo"]  # which can be of one kind only
+    for path, value in settings_tree.leaves(RUNS["own"]):
+        found = content
+        for name in path.split("."):
+            found = found[name]
+        assert found == (list(value) if isinstance(value, tuple) else value)
+
+
+def test_differences_have_paths_and_both_values():
+    before = settings_tree.to_json(RUNS["own"])
+    now = settings_tree.to_json(replace(RUNS["own"], sampler=Learnability(floor=0.2), seed=4))
+    found = list(settings_tree.differences(before, now))
+    assert found == ["sampler.floor (0.1 there, 0.2 here)", "seed (0 there, 4 here)"]
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "found"),
+    [
+        ("seed", 3, 3),
+        ("sampler.alpha", 0.3, 0.3),
+        ("sampler.alpha", "0.3", 0.3),  # as a command line has it
+        ("ppo.network.hidden", [8, 8], (8, 8)),
+        ("until_goal_ratio", 0.9, 0.9),
+        ("until_goal_ratio", None, None),
+        ("greedy", "false", False),
+        ("seed", 3.0, 3),
+    ],
+)
+def test_any_leaf_can_be_set_and_nothing_else_changes(path, value, found):
+    before, after = RunSettings(), settings_tree.set_path(RunSettings(), path, value)
+    assert dict(settings_tree.leaves(after)) == dict(settings_tree.leaves(before)) | {path: found}
+    assert before == RunSettings()
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("sampler.alhpa", 1, r"no setting sampler.alhpa \(did you mean alpha\?\); of PEC there are alpha"),
+        ("sedd", 1, r"no setting sedd \(did you mean seed\?\)"),
+        ("seed.more", 1, "no setting seed.more; of int it has no settings"),
+        ("sampler.alpha", "much", "sampler.alpha is 'much'; it takes float"),
+        ("ppo.num_envs", "many", "ppo.num_envs is 'many'; it takes int"),
+        ("ppo.num_envs", 1.5, "ppo.num_envs is 1.5; it takes int"),
+        ("greedy", "no", "greedy is 'no'; it takes bool"),
+        ("ppo.network.hidden", "64", r"ppo.network.hidden is '64'; it takes tuple"),
+        ("resolution", "20", "resolution is '20'; it takes tuple"),
+    ],
+)
+def test_paths_that_lead_nowhere_and_values_of_another_type(path, value, words):
+    with pytest.raises(InputError, match=words):
+        settings_tree.set_path(RunSettings(), path, value)
+
+
+class Entry:
+    name, value = "learnability", OWN
+
+
+def test_kinds_by_module_by_address_and_by_entry_point(monkeypatch):
+    resolve = settings_tree.resolve
+    assert resolve("pec", SamplerSettings, CURRICULUM) is PEC
+    assert resolve("uniform", SamplerSettings, CURRICULUM) is Uniform
+    assert resolve(OWN, SamplerSettings, CURRICULUM) is Learnability
+    groups = {CURRICULUM: [Entry]}
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: groups.get(group, []))
+    assert resolve("learnability", SamplerSettings, CURRICULUM) is Learnability
+    assert settings_tree.short_name(PEC, CURRICULUM) == "pec"
+    assert settings_tree.short_name(Learnability, CURRICULUM) == OWN
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        (
+            "pex",
+            r"unknown sampler 'pex' \(did you mean pec\?\); choose one of pec, uniform, or .*:Class",
+        ),
+        ("base", "unknown sampler 'base'"),
+        ("no.such.module:Sampler", "no.such.module:Sampler: cannot be imported .*ModuleNotFoundError"),
+        (f"{__name__}:Nothing", "cannot be imported .*AttributeError"),
+        (":", "cannot be imported"),
+        ("json:JSONDecoder", "json:JSONDecoder: is no SamplerSettings"),
+        ("pecjax.curriculum:pec", "is no SamplerSettings"),
+        (f"{__name__}:Unfinished", "Unfinished: lacks make; define it"),
+        (f"{__name__}:Demanding", "floor.*give every setting a default"),
+    ],
+)
+def test_samplers_that_cannot_be_had(name, words):
+    with pytest.raises(InputError, match=words) as error:
+        make_sampler(name)
+    assert "\n" not in str(error.value)
+
+
+def test_a_module_that_fails_when_it_is_imported(tmp_path, monkeypatch):
+    (tmp_path / "failing.py").write_text("1 / 0\n")
+    monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path)])
+    with pytest.raises(InputError, match=r"failing:Sampler: cannot be imported \(ZeroDivisionError"):
+        make_sampler("failing:Sampler")
+
+
+@pytest.mark.parametrize(
+    ("sampler", "words"),
+    [
+        ({"kind": "no.module:Sampler"}, "cannot be imported"),
+        ({"kind": "json:JSONDecoder"}, "is no SamplerSettings"),
+        ({"kind": OWN, "flor": 1.0}, r"has no setting flor \(did you mean floor\?\)"),
+    ],
+)
+def test_json_that_names_what_cannot_be_had(sampler, words):
+    content = settings_tree.to_json(RunSettings()) | {"sampler": sampler}
+    with pytest.raises(InputError, match=words):
+        settings_tree.from_json(content, RunSettings)
+
+
+def test_a_sampler_keeps_its_numbers_when_it_is_named_again():
+    assert make_sampler("pec", like=PEC(0.7)) == PEC(0.7)
+    assert make_sampler("pec", like=Uniform()) == PEC()
+    assert sampler_label(PEC(1.0)) == "pec (α = 1)" and sampler_label(Uniform()) == "uniform"
+    assert has_alpha(PEC()) and not has_alpha(Learnability())
