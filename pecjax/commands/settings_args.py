@@ -59,8 +59,9 @@ def print_help(settings: RunSettings, command: type) -> None:
     with contextlib.suppress(SystemExit), contextlib.redirect_stdout(text):
         read(type(tree), ["--help"], default=tree, prog="[settings]", description=about)
     text.seek(0)
-    shown = re.sub(r"\{None\}\|(\{[^}]*\}|\S+)", r"\1|none  ", text.read())  # as wide as before
-    print(shown.replace("(default: None)", "(default: none)"), end="")
+    shown = text.read().partition("\n\n")[2]  # without the usage, which the command has shown
+    shown = re.sub(r"\{None\}\|(\{[^}]*\}|\S+)", r"\1|none  ", shown)  # as wide as before
+    print("\n" + shown.replace("(default: None)", "(default: none)"), end="")
 
 
 def _tree(settings: RunSettings, command: type) -> Any:
