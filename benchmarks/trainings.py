@@ -11,7 +11,7 @@ from workloads import Workload
 
 import pecjax
 from pecjax.experiments import assembly, training
-from pecjax.experiments.checkpoint import Checkpoints, Position
+from pecjax.experiments.checkpoint import Checkpoints, ResumeState
 from pecjax.experiments.grid import StudySettings
 from pecjax.experiments.presets import PRESETS, RunSettings
 from pecjax.experiments.study_program import make_program
@@ -57,6 +57,6 @@ def checkpointing(settings: RunSettings) -> tuple[Workload, Workload]:
     def checkpoint(folder: tempfile.TemporaryDirectory = folder) -> None:  # which lives as long as this
         carry[1] += 1
         checkpoints.save_learner(carry[1], carry[0].learner)
-        checkpoints.save_position(Position.make(carry[0], carry[1], counts, 0, 0.0))
+        checkpoints.save_position(ResumeState.make(carry[0], carry[1], counts, 0, 0.0))
 
     return Workload(interval, 1, "times/s"), Workload(checkpoint, 1, "times/s")

@@ -16,7 +16,7 @@ from mujoco import mjx, rollout as c_rollout
 
 import pecjax
 from pecjax.agents import AXIS, fleet_mesh
-from pecjax.agents.rollout import env_keys, launch, rollout
+from pecjax.agents.rollout import env_keys, init_rollout, rollout
 from pecjax.curriculum import Sampler
 from pecjax.experiments.devices import num_cores
 from pecjax.world.depth import depth_image, pixel_directions
@@ -176,7 +176,7 @@ def environment(
 
     program = sharded(batch, mesh, (SPREAD, SAME, SAME), (SPREAD, SAME, SAME))
     key = jax.random.key(0)
-    begin = jax.jit(partial(launch, env, table, sampler, num_envs=num_envs))
+    begin = jax.jit(partial(init_rollout, env, table, sampler, num_envs=num_envs))
     fleet = begin(sampler_state=sampler.init(), key=key)
     carry = [jax.device_put(fleet, jax.NamedSharding(mesh, SPREAD)), sampler.init(), 0]
 

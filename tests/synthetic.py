@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from pecjax.agents.agent import Metrics
-from pecjax.experiments.evaluation import Flights
+from pecjax.experiments.evaluation import EvalResult
 from pecjax.experiments.grid import StudySettings
 from pecjax.experiments.studies import find_study
 from pecjax.experiments.study import _Rows
@@ -59,4 +59,4 @@ def made_metrics(size, ratio):
 def made_flights(size, ratio):
     config_id = np.repeat(np.arange(size), EPISODES)
     goal = np.arange(config_id.size) % EPISODES < round(EPISODES * ratio)
-    return Flights(config_id, goal, 2000.0 * goal, np.full(goal.shape, 3), np.zeros((goal.size, 4, 2)))
+    return EvalResult(config_id, goal, 2000.0 * goal, np.full(goal.shape, 3), np.zeros((goal.size, 4, 2)))

@@ -232,7 +232,7 @@ def test_the_goal_ratio_is_of_the_actors_that_explore_least():
     _, metrics = jax.jit(toy(settings).iterate)(jax.jit(toy(settings).init)(jax.random.key(0)))
     trials = int(metrics.counts[0].sum())
     # Of 8 the last 3, as many of RLlib's 5 as it takes for a third; here all explore alike.
-    assert abs(int(metrics.watched[0]) / trials - 3 / 8) < 0.1
+    assert abs(int(metrics.reported[0]) / trials - 3 / 8) < 0.1
 
 
 def test_the_duel_is_centred():

@@ -11,7 +11,7 @@ import pytest
 import pecjax
 from pecjax.agents import fleet_mesh, ppo
 from pecjax.agents.networks import NetworkSettings
-from pecjax.experiments.evaluation import Flights, even_draw, goal_ratios, make_evaluator
+from pecjax.experiments.evaluation import EvalResult, goal_ratios, make_evaluator, stratified_config_ids
 from pecjax.world.navigation import NavigationSettings
 
 # Steering straight at the goal reaches the first, hits a wall on the way to the second, and runs
@@ -71,7 +71,7 @@ def flights(evaluators):
     return evaluators(2, True)(jnp.zeros(15))
 
 
-def in_a_plain_loop(task, config_id: np.ndarray) -> Flights:
+def in_a_plain_loop(task, config_id: np.ndarray) -> EvalResult:
     """The same episodes one after the other, with nothing but `place`, `observe` and `step`."""
     step, act = jax.jit(task.step), jax.jit(policy(jnp.zeros(15), greedy=True))
     goal, returns, lengths, paths = [], [], [], []
@@ -89,11 +89,11 @@ def in_a_plain_loop(task, config_id: np.ndarray) -> Flights:
         returns.append(total)
         lengths.append(len(path) - 1)
         paths.append(path + [path[-1]] * (LIMIT + 1 - len(path)))
-    return Flights(config_id, np.array(goal), np.array(returns), np.array(lengths), np.array(paths))
+    return EvalResult(config_id, np.array(goal), np.array(returns), np.array(lengths), np.array(paths))
 
 
 def test_equals_a_plain_loop(task, flights):
-    looped = in_a_plain_loop(task, even_draw(TABLE.size, EPISODES, SEED))
+    looped = in_a_plain_loop(task, stratified_config_ids(TABLE.size, EPISODES, SEED))
     for name in ("config_id", "goal", "lengths"):
         np.testing.assert_array_equal(getattr(flights, name), getattr(looped, name), err_msg=name)
     np.testing.assert_allclose(flights.returns, looped.returns, rtol=1e-6)
@@ -144,15 +144,16 @@ def test_a_learner_so_sure_of_itself_draws_what_greedy_takes(evaluators):
 
 @pytest.mark.parametrize(("num_configs", "episodes"), [(20, 200), (20, 50), (7, 3), (1, 5), (24, 1)])
 def test_even_draw_is_even_and_its_own_again(num_configs, episodes):
-    ids = even_draw(num_configs, episodes, seed=3)
+    ids = stratified_config_ids(num_configs, episodes, seed=3)
     counts = np.bincount(ids, minlength=num_configs)
     assert len(ids) == episodes and len(counts) == num_configs
     assert counts.max() - counts.min() <= 1
-    np.testing.assert_array_equal(ids, even_draw(num_configs, episodes, seed=3))
+    np.testing.assert_array_equal(ids, stratified_config_ids(num_configs, episodes, seed=3))
 
 
 def test_what_remains_of_an_even_draw_goes_to_others_with_another_seed():
-    rests = {tuple(np.flatnonzero(np.bincount(even_draw(20, 50, seed)) == 3)) for seed in range(20)}
+    draws = [np.bincount(stratified_config_ids(20, 50, seed)) for seed in range(20)]
+    rests = {tuple(np.flatnonzero(counts == 3)) for counts in draws}
     assert len(rests) > 15 and all(len(rest) == 10 for rest in rests)
     assert {row for rest in rests for row in rest} == set(range(20))
 
@@ -160,7 +161,7 @@ def test_what_remains_of_an_even_draw_goes_to_others_with_another_seed():
 def test_goal_ratios_equal_pandas():
     draw = np.random.default_rng(0)
     config_id, goal = draw.choice([0, 1, 2, 4, 7], 60), draw.random(60) < 0.6
-    flights = Flights(config_id, goal, None, None, None)
+    flights = EvalResult(config_id, goal, None, None, None)
     expected = pd.Series(goal).groupby(config_id).mean().reindex(range(9))
     np.testing.assert_allclose(goal_ratios(flights, 9), expected)
     assert np.isnan(expected[[3, 5, 6, 8]]).all()

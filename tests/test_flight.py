@@ -10,7 +10,7 @@ from jax import numpy as jnp
 from scipy import signal
 
 import pecjax
-from pecjax.world.flight import Command, DroneState, hover, mix, physics_step, rotor_controls
+from pecjax.world.flight import Command, DroneState, allocate_rotors, hover, physics_step, rotor_controls
 from pecjax.world.rotations import heading
 
 HEIGHT = 1.2
@@ -200,7 +200,7 @@ def test_mixing_gives_the_thrust_and_torque_asked_for(scene):
     rng = np.random.default_rng(0)
     thrust = np.float32(rng.uniform(8, 24, 1000))
     torque = np.float32(rng.uniform(-1, 1, (1000, 3)) * (0.3, 0.3, 0.015))
-    controls = np.asarray(jax.vmap(lambda f, t: mix(scene, f, t))(thrust, torque))
+    controls = np.asarray(jax.vmap(lambda f, t: allocate_rotors(scene, f, t))(thrust, torque))
     made = controls @ scene.rotors.wrench.T
     np.testing.assert_allclose(made, np.column_stack([thrust, torque]), atol=2e-5)
 
@@ -210,7 +210,7 @@ def test_yaw_gives_way_first(scene):
     thrust = np.float32(rng.uniform(8, 24, 1000))
     torque = np.float32(rng.uniform(-1, 1, (1000, 3)) * (0.3, 0.3, 0) + (0, 0, 1))
     torque[:500, 2] = -1
-    controls = np.asarray(jax.vmap(lambda f, t: mix(scene, f, t))(thrust, torque))
+    controls = np.asarray(jax.vmap(lambda f, t: allocate_rotors(scene, f, t))(thrust, torque))
     made = controls @ scene.rotors.wrench.T
     np.testing.assert_allclose(made[:, :3], np.column_stack([thrust, torque[:, :2]]), atol=2e-5)
     assert np.all(np.sign(made[:, 3]) == torque[:, 2])
@@ -223,7 +223,7 @@ def test_yaw_gives_way_first(scene):
 def test_mixing_keeps_the_limits_whatever_is_asked(scene):
     rng = np.random.default_rng(2)
     thrust, torque = np.float32(rng.normal(15, 30, 1000)), np.float32(rng.normal(0, 10, (1000, 3)))
-    controls = np.asarray(jax.vmap(lambda f, t: mix(scene, f, t))(thrust, torque))
+    controls = np.asarray(jax.vmap(lambda f, t: allocate_rotors(scene, f, t))(thrust, torque))
     assert np.all((controls >= -1e-5) & (controls <= 8 + 1e-5))
 
 

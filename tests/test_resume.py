@@ -22,7 +22,7 @@ from pecjax.agents.replay import ReplaySettings
 from pecjax.curriculum import PEC
 from pecjax.errors import DivergedError, StoppedError
 from pecjax.experiments import loop, presets, provenance, training
-from pecjax.experiments.array_files import BrokenFileError, read_arrays, write_arrays
+from pecjax.experiments.array_files import CorruptFileError, read_arrays, write_arrays
 from pecjax.experiments.plain_files import alone
 from pecjax.experiments.presets import PRESETS
 from pecjax.experiments.run_directory import RunDirectory
@@ -412,7 +412,7 @@ def test_a_state_of_other_shapes_is_refused(tmp_path):
         with pytest.raises(pecjax.InputError, match="differs in"):
             read_arrays(path, like)
     np.savez(path, **{"['a']": np.array([{"code": 1}], object)})
-    with pytest.raises(BrokenFileError):
+    with pytest.raises(CorruptFileError):
         read_arrays(path, {"a": np.empty(1)})
 
 

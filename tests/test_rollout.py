@@ -7,7 +7,7 @@ from jax.sharding import Mesh, PartitionSpec
 from scipy import stats
 
 import pecjax
-from pecjax.agents.rollout import Fleet, launch, rollout
+from pecjax.agents.rollout import RolloutState, init_rollout, rollout
 from pecjax.curriculum import Outcomes, pec
 from pecjax.world import navigation
 
@@ -40,7 +40,7 @@ def roll(env):
 
 @pytest.fixture(scope="module")
 def first(env):
-    return launch(env, TABLE, pec(3), pec(3).init(), jax.random.key(0), NUM_ENVS)
+    return init_rollout(env, TABLE, pec(3), pec(3).init(), jax.random.key(0), NUM_ENVS)
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +209,7 @@ def test_resets_draw_from_the_sampler(scene, monkeypatch):
     failed = [False] * 10 + [True] * 3 + [False] * 7 + [True] * 9 + [False]
     outcomes = Outcomes(jnp.repeat(jnp.arange(3), 10), jnp.ones(30), jnp.array(failed))
     state = sampler.update(sampler.init(), outcomes)
-    fleet = launch(quick, TABLE, sampler, state, jax.random.key(1), num_envs)
+    fleet = init_rollout(quick, TABLE, sampler, state, jax.random.key(1), num_envs)
     fly = jax.jit(lambda *args: rollout(quick, TABLE, sampler, state, act, *args, num_steps=64))
     _, trajectory, episodes = fly(fleet, jax.random.key(2), jnp.arange(num_envs))
     assert np.all(episodes.outcomes.done)
@@ -228,7 +228,7 @@ def test_resets_draw_from_the_sampler(scene, monkeypatch):
 
 
 def test_launch_starts_at_zero(first):
-    assert isinstance(first, Fleet)
+    assert isinstance(first, RolloutState)
     np.testing.assert_array_equal(first.episode_return, np.zeros(NUM_ENVS))
     np.testing.assert_array_equal(first.state.pipeline_state.step_count, np.zeros(NUM_ENVS))
     np.testing.assert_array_equal(first.state.pipeline_state.qpos[:, :2], TABLE.start[first.config_id])

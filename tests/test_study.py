@@ -19,7 +19,7 @@ from pecjax.curriculum import PEC
 from pecjax.errors import DivergedError, StoppedError
 from pecjax.experiments import provenance, study_directory, study_figures, study_report, training
 from pecjax.experiments.assembly import make_agent
-from pecjax.experiments.grid import Member, StudySettings
+from pecjax.experiments.grid import RunSpec, StudySettings
 from pecjax.experiments.plain_files import alone
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.studies import SCALES, STUDIES, find_study
@@ -109,7 +109,7 @@ def test_alpha_is_of_samplers_that_have_one(settings):
     groups = settings.groups()
     assert [member.alpha for member in groups[0]] == [0.0, 3.0, 0.0, 3.0]
     assert [member.alpha for member in groups[1]] == [None, None]
-    assert settings.settings_of(Member("2", "pec", 3.0, 7)) == replace(
+    assert settings.settings_of(RunSpec("2", "pec", 3.0, 7)) == replace(
         settings.run, coordinates="2", sampler=PEC(3.0), seed=7
     )
 
@@ -162,7 +162,7 @@ def test_its_tables_have_a_row_for_everything(study, settings):
 @pytest.mark.slow
 @pytest.mark.parametrize(("sampler", "alpha", "seed"), [("pec", 3.0, 7), ("uniform", None, 4)])
 def test_a_run_of_a_study_is_the_run_that_train_would_make(sampler, alpha, seed, study, settings, folders):
-    alone = settings.settings_of(Member(settings.run.coordinates, sampler, alpha, seed))
+    alone = settings.settings_of(RunSpec(settings.run.coordinates, sampler, alpha, seed))
     folder = folders / f"alone-{sampler}"
     training.train(alone, folder, devices=1)
     for name, table in (("metrics", "metrics"), ("results", "evaluation"), ("configurations",) * 2):

@@ -8,7 +8,7 @@ from synthetic import made_metrics, study_settings, write_study
 
 import pecjax
 from pecjax.experiments import study_figures, study_report
-from pecjax.experiments.evaluation import Flights
+from pecjax.experiments.evaluation import EvalResult
 from pecjax.experiments.study import _Rows
 from pecjax.experiments.study_directory import StudyDirectory
 
@@ -96,7 +96,7 @@ def test_the_worst_tenth_of_an_evaluation_is_of_what_it_flew():
     reached = np.random.default_rng(0).random(20) < 0.7
     # 20 episodes for 200 configurations: the 20 that are flown have their worst two.
     rows.add_evaluation(
-        1, Flights(np.arange(20) * 7, reached, 1.0 * reached, np.ones(20), np.zeros((20, 2, 2)))
+        1, EvalResult(np.arange(20) * 7, reached, 1.0 * reached, np.ones(20), np.zeros((20, 2, 2)))
     )
     (row,) = rows.tables["results"]
     assert row["cvar"] == np.sort(reached)[:2].mean() == 0

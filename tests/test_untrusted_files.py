@@ -17,7 +17,7 @@ import pytest
 import pecjax
 from pecjax.cli import main
 from pecjax.experiments import assembly, devices
-from pecjax.experiments.array_files import BrokenFileError, read_arrays, write_arrays
+from pecjax.experiments.array_files import CorruptFileError, read_arrays, write_arrays
 from pecjax.experiments.presets import PRESETS
 from pecjax.world import load_scene
 
@@ -282,11 +282,11 @@ LARGE = np.zeros(2**23)  # 64 MB
 @pytest.mark.parametrize(
     ("save", "arrays", "error", "words"),
     [
-        (np.savez_compressed, {"['w']": LARGE}, BrokenFileError, "'\\['w'\\].npy' is no plain array"),
+        (np.savez_compressed, {"['w']": LARGE}, CorruptFileError, "'\\['w'\\].npy' is no plain array"),
         (np.savez, {"['w']": LARGE}, pecjax.InputError, "differs in \\['w'\\]"),
         (np.savez, {"['w']": WANTED["w"], "more": LARGE}, pecjax.InputError, "differs in more"),
-        (np.savez, {"['w']": WANTED["w"], "about": LARGE}, BrokenFileError, "is no text"),
-        (np.savez, {"['w']": np.array([{}])}, BrokenFileError, "is no array of"),
+        (np.savez, {"['w']": WANTED["w"], "about": LARGE}, CorruptFileError, "is no text"),
+        (np.savez, {"['w']": np.array([{}])}, CorruptFileError, "is no array of"),
         (np.savez, {}, pecjax.InputError, "differs in \\['w'\\]"),
     ],
 )
@@ -307,7 +307,7 @@ def test_a_header_that_promises_more_than_the_file_holds(tmp_path):
     with zipfile.ZipFile(path, "w") as file:
         text = "{'descr': '<f4', 'fortran_order': False, 'shape': (999999999, 99), }".ljust(117) + "\n"
         file.writestr("['w'].npy", b"\x93NUMPY\x01\x00\x76\x00" + text.encode() + b"\0" * 24)
-    with pytest.raises(BrokenFileError, match="is no array of"):
+    with pytest.raises(CorruptFileError, match="is no array of"):
         read_arrays(path, {"w": jax.ShapeDtypeStruct((999999999, 99), np.float32)})
 
 
@@ -318,7 +318,7 @@ def test_a_changed_header_makes_a_file_corrupt_and_not_anothers(tmp_path):
     content = path.read_bytes()
     for old, new in ((b"(3, 2)", b"(2, 3)"), (b'"seed": 1', b'"seed": 2')):
         path.write_bytes(content.replace(old, new))
-        with pytest.raises(BrokenFileError):
+        with pytest.raises(CorruptFileError):
             read_arrays(path, WANTED, {"seed": 1})
     path.write_bytes(content)
     np.testing.assert_array_equal(read_arrays(path, WANTED, {"seed": 1})["w"], WANTED["w"])

@@ -39,7 +39,7 @@ class Metrics(NamedTuple):
 
     Attributes:
         counts: (2, N) int32, trials and failures of this iteration by configuration.
-        watched: (2,) int32, trials and failures that its goal ratio is of: all, or those of the
+        reported: (2,) int32, trials and failures that its goal ratio is of: all, or those of the
             actors that explore least.
         return_sum, length_sum: over the episodes that ended.
         unstable: () int32, episodes that ended since their physics blew up; collisions all.
@@ -48,7 +48,7 @@ class Metrics(NamedTuple):
     """
 
     counts: jax.Array
-    watched: jax.Array
+    reported: jax.Array
     return_sum: jax.Array
     length_sum: jax.Array
     unstable: jax.Array
@@ -56,7 +56,7 @@ class Metrics(NamedTuple):
     losses: dict[str, jax.Array]
 
     @property
-    def broken(self) -> list[str]:
+    def non_finite(self) -> list[str]:
         """The names of what is not finite, once the figures are the host's."""
         return [name for name, finite in self.finite.items() if not finite]
 
@@ -100,15 +100,15 @@ def summarize(
     losses: dict[str, jax.Array],
     num_configs: int,
     axis_name: str | None,
-    watched: jax.Array | bool = True,
+    reported: jax.Array | bool = True,
 ) -> Metrics:
     """Sums an iteration's endings over its steps, environments and devices.
 
     Args:
-        watched: (B,) bool, the environments that the goal ratio is taken over.
+        reported: (B,) bool, the environments that the goal ratio is taken over.
     """
     done, failed = episodes.outcomes.done, episodes.outcomes.failed
-    seen = jnp.stack([jnp.sum(done & watched), jnp.sum(done & failed & watched)])
+    seen = jnp.stack([jnp.sum(done & reported), jnp.sum(done & failed & reported)])
     return_sum, length_sum = jnp.sum(done * episodes.returns), jnp.sum(done * episodes.lengths)
     unstable = jnp.sum(done & episodes.unstable)
     if axis_name is not None:

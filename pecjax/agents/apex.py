@@ -22,7 +22,7 @@ from pecjax.agents.networks import encode
 from pecjax.agents.q_network import QNetwork, action_values
 from pecjax.agents.replay import Frame, Replay, Rows, compress, expand
 from pecjax.agents.returns import n_step_return
-from pecjax.agents.rollout import Episodes, Fleet, Trajectory, global_ids, launch, rollout
+from pecjax.agents.rollout import Episodes, RolloutState, Trajectory, global_ids, init_rollout, rollout
 from pecjax.curriculum.base import Sampler
 from pecjax.world.coordinates import Configurations
 from pecjax.world.navigation import RoomsNavigation, observation
@@ -47,7 +47,7 @@ class Recent(NamedTuple):
 class Actors(NamedTuple):
     """What is spread over devices: environments, their recent steps, and the replay's shards."""
 
-    fleet: Fleet
+    fleet: RolloutState
     recent: Recent
     shards: Replay
 
@@ -103,7 +103,7 @@ def make(
     def init(key: jax.Array, numbers: Mapping[str, jax.Array] | None = None) -> TrainState:
         key, key_online, key_target, key_fleet = jax.random.split(key, 4)
         sampler_state = sampler.init(**(numbers or {}))
-        fleet = launch(env, table, sampler, sampler_state, key_fleet, num_envs)
+        fleet = init_rollout(env, table, sampler, sampler_state, key_fleet, num_envs)
         seen = features(compress(observation(fleet.state), camera.far))[:1]
         params, target = network.init(key_online, seen), network.init(key_target, seen)
         zero = jnp.zeros((), jnp.int32)
@@ -167,10 +167,10 @@ def make(
         losses = {name: term.sum() / warm.sum() for name, term in terms.items()}
         losses["updates"] = learner.updates
         # RLlib 0.8.5 reports the last third of its actors, rounded up (`agents/dqn/apex.py`).
-        watched = env_ids % settings.num_actors >= settings.num_actors + (-settings.num_actors // 3)
+        reported = env_ids % settings.num_actors >= settings.num_actors + (-settings.num_actors // 3)
         sampler_state = sampler.update(state.sampler, episodes.outcomes, axis_name)
         parts = terms | {"parameters": learner.params, "physics": actors.fleet.state.pipeline_state}
-        metrics = summarize(episodes, are_finite(parts, axis_name), losses, table.size, axis_name, watched)
+        metrics = summarize(episodes, are_finite(parts, axis_name), losses, table.size, axis_name, reported)
         return TrainState(learner, sampler_state, actors, key), metrics
 
     def policy(learner: Learner, greedy: bool = False):

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from pecjax.agents.agent import Agent, Metrics, TrainState, are_finite, summarize
 from pecjax.agents.networks import ActorCritic, draw_action, encode, forward
 from pecjax.agents.ppo_update import Learner, PPOSettings, make_optimizer, prepare, update
-from pecjax.agents.rollout import global_ids, launch, rollout
+from pecjax.agents.rollout import global_ids, init_rollout, rollout
 from pecjax.curriculum.base import Sampler
 from pecjax.world.coordinates import Configurations
 from pecjax.world.navigation import RoomsNavigation, observation
@@ -41,7 +41,7 @@ def make(
     def init(key: jax.Array, numbers: Mapping[str, jax.Array] | None = None) -> TrainState:
         key, key_params, key_fleet = jax.random.split(key, 3)
         sampler_state = sampler.init(**(numbers or {}))
-        fleet = launch(env, table, sampler, sampler_state, key_fleet, settings.num_envs)
+        fleet = init_rollout(env, table, sampler, sampler_state, key_fleet, settings.num_envs)
         params = network.init(key_params, encode(observation(fleet.state), camera.far)[:1])
         kl_coeff = jnp.asarray(settings.kl_coeff or 0.0, jnp.float32)
         return TrainState(Learner(params, optimizer.init(params), kl_coeff), sampler_state, fleet, key)

@@ -17,7 +17,7 @@ from pecjax.world.navigation import RoomsNavigation, State, flight_state
 Act = Callable[[Any, jax.Array], tuple[jax.Array, Any]]
 
 
-class Fleet(NamedTuple):
+class RolloutState(NamedTuple):
     """The environments that an agent keeps running from batch to batch.
 
     Attributes:
@@ -92,19 +92,19 @@ def _place(env: RoomsNavigation, table: Configurations, config_id: jax.Array, he
     return jax.vmap(env.place)(rows, heading)
 
 
-def launch(
+def init_rollout(
     env: RoomsNavigation,
     table: Configurations,
     sampler: Sampler,
     sampler_state: Any,
     key: jax.Array,
     num_envs: int,
-) -> Fleet:
+) -> RolloutState:
     """Starts B environments in configurations drawn from the sampler."""
     keys = env_keys(key, jnp.arange(num_envs))
     ids, headings = draw_episodes(sampler, sampler_state, keys, 1)
     state = jax.vmap(env.observe)(_place(env, table, ids[0], headings[0]))
-    return Fleet(state, ids[0], jnp.zeros(num_envs))
+    return RolloutState(state, ids[0], jnp.zeros(num_envs))
 
 
 def rollout(
@@ -113,11 +113,11 @@ def rollout(
     sampler: Sampler,
     sampler_state: Any,
     act: Act,
-    fleet: Fleet,
+    fleet: RolloutState,
     key: jax.Array,
     env_ids: jax.Array,
     num_steps: int,
-) -> tuple[Fleet, Trajectory, Episodes]:
+) -> tuple[RolloutState, Trajectory, Episodes]:
     """Flies every environment for T steps (Jang & Choi 2022, Fig. 1, lines 2-10).
 
     An episode that ends gives way at once to the next, drawn from the sampler as it stands at the
@@ -131,7 +131,7 @@ def rollout(
     draws = draw_episodes(sampler, sampler_state, env_keys(key_draw, env_ids), num_steps)
     chances = jax.vmap(lambda k: jax.random.uniform(k, (num_steps,)), out_axes=1)(env_keys(key_act, env_ids))
 
-    def step(fleet: Fleet, row: tuple) -> tuple[Fleet, tuple[Trajectory, Episodes]]:
+    def step(fleet: RolloutState, row: tuple) -> tuple[RolloutState, tuple[Trajectory, Episodes]]:
         (next_id, next_heading), chance = row
         action, extras = act(fleet.state.obs, chance)
         flown = jax.vmap(env.advance)(fleet.state, action)
@@ -151,7 +151,7 @@ def rollout(
         # The old observation is of no more use; one depth image a step is cast, of what stands now.
         fresh = _place(env, table, next_id, next_heading)
         state = jax.tree.map(where_done, fresh, flown.replace(obs={}))
-        fleet = Fleet(
+        fleet = RolloutState(
             state=jax.vmap(env.observe)(state),
             config_id=where_done(next_id, fleet.config_id),
             episode_return=where_done(jnp.zeros_like(episode_return), episode_return),

@@ -94,7 +94,7 @@ class Train:
         folder = self.out or Path("runs") / time.strftime(f"{name}-%Y%m%d-%H%M%S")
         go = training.resume if self.resume else training.train
         summary = go(settings, folder, self.devices)
-        if not processes.is_lead():
+        if not processes.is_primary():
             return
         draw(folder)
         evaluated = summary["uniform_evaluation"]

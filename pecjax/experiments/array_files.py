@@ -22,11 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from pecjax.errors import InputError
-from pecjax.experiments.processes import is_lead, on_host
+from pecjax.experiments.processes import is_primary, on_host
 from pecjax.settings_tree import differences
 
 
-class BrokenFileError(Exception):
+class CorruptFileError(Exception):
     """A file is not what was written."""
 
 
@@ -57,7 +57,7 @@ def write_arrays(path: Path, tree: Any, about: dict[str, Any] | None = None) -> 
     """
     named, _ = jax.tree_util.tree_flatten_with_path(tree)
     arrays = {jax.tree_util.keystr(place): on_host(_plain(leaf)) for place, leaf in named}
-    if not is_lead():
+    if not is_primary():
         return
     if about is not None:
         arrays[_ABOUT] = np.frombuffer(json.dumps(about).encode(), np.uint8)
@@ -90,7 +90,7 @@ def read_arrays(
             its integers may have been of another width.
 
     Raises:
-        BrokenFileError: the file is corrupt.
+        CorruptFileError: the file is corrupt.
         InputError: it is whole, but belongs to something else.
     """
     named, structure = jax.tree_util.tree_flatten_with_path(like)
@@ -118,7 +118,7 @@ def read_arrays(
     except InputError:
         raise
     except _UNREADABLE as error:
-        raise BrokenFileError(f"{path}: corrupt ({error})") from error
+        raise CorruptFileError(f"{path}: corrupt ({error})") from error
     return jax.tree.unflatten(structure, [_placed(arrays[name], leaf) for name, leaf in wanted.items()])
 
 

@@ -100,7 +100,9 @@ def abstract_state(run: Run) -> TrainState:
     return TrainState(*map(placed, state, placement(run.mesh)))
 
 
-def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable[[Any], evaluation.Flights]:
+def compile_evaluator(
+    run: Run, settings: RunSettings, learner: Any
+) -> Callable[[Any], evaluation.EvalResult]:
     """The run's evaluation as a compiled program, learner -> flights.
 
     Raises:

@@ -10,13 +10,13 @@ import numpy as np
 from pecjax.agents.agent import TrainState
 from pecjax.errors import InputError
 from pecjax.experiments import former_versions
-from pecjax.experiments.array_files import BrokenFileError, read_arrays, write_arrays
-from pecjax.experiments.processes import by_the_lead
+from pecjax.experiments.array_files import CorruptFileError, read_arrays, write_arrays
+from pecjax.experiments.processes import primary_only
 
 KEPT_STATES = 2  # the newest, and one to fall back on
 
 
-class Position(NamedTuple):
+class ResumeState(NamedTuple):
     """Where a training stands: all that it needs to go on as if it had never stopped.
 
     Attributes:
@@ -36,7 +36,7 @@ class Position(NamedTuple):
     @classmethod
     def make(
         cls, state: TrainState, iteration: int, counts: np.ndarray, held: int, seconds: float
-    ) -> Position:
+    ) -> ResumeState:
         """A position, its numbers as arrays."""
         return cls(state, np.array(iteration), counts, np.array(held), np.array(seconds))
 
@@ -62,17 +62,17 @@ class Checkpoints:
         """Keeps the learner after `iteration` iterations."""
         write_arrays(_path(self._learners, iteration), learner)
 
-    def save_position(self, here: Position) -> None:
+    def save_position(self, here: ResumeState) -> None:
         """Keeps where a training stands, and forgets what is older than the one before."""
         write_arrays(_path(self._states, int(here.iteration)), here, self._about)
         self._prune()
 
-    @by_the_lead
+    @primary_only
     def _prune(self) -> None:
         for iteration in _iterations(self._states)[:-KEPT_STATES]:
             _path(self._states, iteration).unlink()
 
-    @by_the_lead
+    @primary_only
     def forget_after(self, iteration: int, every: int) -> None:
         """Removes learners that a run of which `iteration` iterations are done would not have."""
         for there in _iterations(self._learners):
@@ -104,10 +104,10 @@ class Checkpoints:
         iteration = there[-1] if iteration is None else iteration
         try:
             return iteration, read_arrays(_path(self._learners, iteration), like)
-        except BrokenFileError as error:
+        except CorruptFileError as error:
             raise InputError(f"{error}; choose another with --checkpoint") from error
 
-    def load_position(self, like: Position) -> tuple[Position, list[str]]:
+    def load_position(self, like: ResumeState) -> tuple[ResumeState, list[str]]:
         """The newest whole position, and what was said of broken ones on the way to it.
 
         Raises:
@@ -119,7 +119,7 @@ class Checkpoints:
                 path = _path(self._states, iteration)
                 former = former_versions.about, former_versions.array_name
                 return read_arrays(path, like, self._about, *former), said
-            except BrokenFileError as error:
+            except CorruptFileError as error:
                 said.append(f"{error}; falling back to the one before")
         reason = "; ".join(said) or "no state to go on from"
         raise InputError(f"{self._states}: {reason}; train anew in another folder")

@@ -16,7 +16,7 @@ from pecjax.world.coordinates import Configurations
 from pecjax.world.navigation import RoomsNavigation, flight_state
 
 
-class Flights(NamedTuple):
+class EvalResult(NamedTuple):
     """E flown episodes.
 
     Attributes:
@@ -34,7 +34,7 @@ class Flights(NamedTuple):
     paths: Any
 
 
-def even_draw(num_configs: int, episodes: int, seed: int) -> np.ndarray:
+def stratified_config_ids(num_configs: int, episodes: int, seed: int) -> np.ndarray:
     """E configuration numbers, every configuration as often as any other.
 
     What remains when N does not divide E goes to different configurations, drawn at random.
@@ -45,22 +45,22 @@ def even_draw(num_configs: int, episodes: int, seed: int) -> np.ndarray:
 
 def make_flyer(
     env: RoomsNavigation, table: Configurations, agent: Agent, *, greedy: bool, seed: int
-) -> Callable[[Any, jax.Array, jax.Array], Flights]:
+) -> Callable[[Any, jax.Array, jax.Array], EvalResult]:
     """Sets the conditions under which policies can be compared.
 
     Its `fly` takes a learner and, for each of E episodes, configuration and number, and returns
-    `Flights`; it can be jitted, vmapped over learners and sharded over episodes.
+    `EvalResult`; it can be jitted, vmapped over learners and sharded over episodes.
 
     Args:
         greedy: takes the likeliest action at every step; else draws, as training does.
         seed: of headings and drawn actions: two policies with one seed fly the same episodes.
     """
 
-    def fly(learner: Any, config_id: jax.Array, episode: jax.Array) -> Flights:
+    def fly(learner: Any, config_id: jax.Array, episode: jax.Array) -> EvalResult:
         keys = env_keys(jax.random.key(seed), episode)
         headings = jax.vmap(lambda k: jax.random.uniform(k, minval=-jnp.pi, maxval=jnp.pi))(keys)
         rows = jax.tree.map(lambda leaf: jnp.asarray(leaf)[config_id], table)
-        return fly_to_the_end(env, agent.policy(learner, greedy), rows, headings, keys, config_id)
+        return run_episodes(env, agent.policy(learner, greedy), rows, headings, keys, config_id)
 
     return fly
 
@@ -74,17 +74,17 @@ def make_evaluator(
     episodes: int,
     greedy: bool,
     seed: int,
-) -> Callable[[Any], Callable[[Any], Flights]]:
+) -> Callable[[Any], Callable[[Any], EvalResult]]:
     """Sets E episodes, an even draw, shared by the mesh's devices.
 
-    Its `compile` takes a learner (arrays or their shapes) and returns fly(learner) -> `Flights` of
+    Its `compile` takes a learner (arrays or their shapes) and returns fly(learner) -> `EvalResult` of
     numpy arrays.
 
     Args:
         greedy, seed: of `make_flyer`.
     """
     devices = mesh.devices.size
-    config_id = even_draw(table.size, episodes, seed)
+    config_id = stratified_config_ids(table.size, episodes, seed)
     padded = np.resize(config_id, -(-episodes // devices) * devices)
     spread = PartitionSpec(AXIS)
     program = jax.jit(
@@ -98,27 +98,27 @@ def make_evaluator(
         out_shardings=NamedSharding(mesh, PartitionSpec()),  # each process has all of them
     )
 
-    def compile_for(learner: Any) -> Callable[[Any], Flights]:
+    def compile_for(learner: Any) -> Callable[[Any], EvalResult]:
         numbers = np.arange(padded.size, dtype=np.int32)
         compiled = program.lower(learner, padded, numbers).compile()
 
-        def evaluate(learner: Any) -> Flights:
+        def evaluate(learner: Any) -> EvalResult:
             flights = compiled(learner, padded, numbers)
-            return Flights(*(np.asarray(leaf)[:episodes] for leaf in flights))
+            return EvalResult(*(np.asarray(leaf)[:episodes] for leaf in flights))
 
         return evaluate
 
     return compile_for
 
 
-def fly_to_the_end(
+def run_episodes(
     env: RoomsNavigation,
     act: Callable[[Any, jax.Array], jax.Array],
     configs: Configurations,
     headings: jax.Array,
     keys: jax.Array,
     config_id: jax.Array,
-) -> Flights:
+) -> EvalResult:
     """Flies one episode per row of `configs`, all side by side, until the last has ended."""
     limit = env.settings.max_steps
     start = jax.vmap(env.observe)(jax.vmap(env.place)(configs, headings))
@@ -145,12 +145,12 @@ def fly_to_the_end(
     time, state, returns, paths = jax.lax.while_loop(running, step, (0, start, jnp.zeros(number), paths))
     last = flight_state(state).qpos[:, :2]
     paths = jnp.where(jnp.arange(limit + 1)[:, None, None] > time, last, paths)
-    return Flights(
+    return EvalResult(
         config_id, state.metrics["goal"] > 0, returns, flight_state(state).step_count, paths.swapaxes(0, 1)
     )
 
 
-def goal_ratios(flights: Flights, num_configs: int) -> np.ndarray:
+def goal_ratios(flights: EvalResult, num_configs: int) -> np.ndarray:
     """Goal ratio (N,) of each configuration, NaN where none of its episodes were flown."""
     flown = np.bincount(flights.config_id, minlength=num_configs)
     reached = np.bincount(flights.config_id, weights=flights.goal, minlength=num_configs)

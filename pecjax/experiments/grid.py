@@ -17,7 +17,7 @@ from pecjax.experiments.samplers import has_alpha, make_sampler
 Values = tuple[tuple[str, Any], ...]  # by dotted path
 
 
-class Member(NamedTuple):
+class RunSpec(NamedTuple):
     """One run of a study.
 
     Attributes:
@@ -85,7 +85,7 @@ class StudySettings:
         for seed in self.seeds:
             check_settings(override(self.run, seed=seed))
         for sampler, values in product(self.samplers, self._values()):
-            settings = self.settings_of(Member("", sampler, None, 0, _that_it_has(sampler, values)))
+            settings = self.settings_of(RunSpec("", sampler, None, 0, _that_it_has(sampler, values)))
             check_settings(settings)
             settings.learner.check()
 
@@ -104,7 +104,7 @@ class StudySettings:
             if path.startswith("sampler.") and not any(_has(name, path) for name in self.samplers):
                 raise InputError(f"grid: none of {', '.join(self.samplers)} has {path}; leave it out")
 
-    def settings_of(self, member: Member) -> RunSettings:
+    def settings_of(self, member: RunSpec) -> RunSettings:
         """The settings `pecjax train` would need for that run."""
         settings = override(
             self.run,
@@ -117,14 +117,14 @@ class StudySettings:
             settings = settings_tree.set_path(settings, path, value)
         return settings
 
-    def groups(self) -> list[list[Member]]:
+    def groups(self) -> list[list[RunSpec]]:
         """The runs, those that one program can run together: all alike but for seeds and numbers."""
-        found: dict[tuple, list[Member]] = {}
+        found: dict[tuple, list[RunSpec]] = {}
         for coordinates, sampler in product(self.coordinates, self.samplers):
             alphas = self.alphas if has_alpha(make_sampler(sampler)) else (None,)
             grid = dict.fromkeys(_that_it_has(sampler, values) for values in self._values())
             for seed, alpha, values in product(self.seeds, alphas, grid):
-                member = Member(coordinates, sampler, alpha, seed, values)
+                member = RunSpec(coordinates, sampler, alpha, seed, values)
                 found.setdefault((coordinates, sampler, fixed(values)), []).append(member)
         return [*found.values()]
 
@@ -133,7 +133,7 @@ class StudySettings:
         for values in product(*(values for _, values in self.grid)):
             yield tuple(zip(paths, values, strict=True))
 
-    def slices(self) -> list[tuple[Member, ...]]:
+    def slices(self) -> list[tuple[RunSpec, ...]]:
         """The runs in the order they are made: low seeds first, the groups in turn."""
         cut = [
             [tuple(group[first : first + self.at_once]) for first in range(0, len(group), self.at_once)]
@@ -142,7 +142,7 @@ class StudySettings:
         return [part for turn in zip_longest(*cut) for part in turn if part is not None]
 
 
-def numbers(member: Member) -> dict[str, float]:
+def numbers(member: RunSpec) -> dict[str, float]:
     """The numbers of a run's sampler that are in its state: runs that differ in them share a program."""
     varied = {} if member.alpha is None else {"alpha": member.alpha}
     return varied | {p.removeprefix("sampler."): value for p, value in member.values if _is_number(p, value)}

@@ -15,7 +15,7 @@ from pecjax.agents.agent import Metrics, TrainState
 from pecjax.errors import DivergedError, StoppedError
 from pecjax.experiments import tables
 from pecjax.experiments.assembly import Run, compile_evaluator
-from pecjax.experiments.checkpoint import Checkpoints, Position
+from pecjax.experiments.checkpoint import Checkpoints, ResumeState
 from pecjax.experiments.interruption import Interruption
 from pecjax.experiments.presets import RunSettings
 from pecjax.experiments.processes import greatest
@@ -73,7 +73,7 @@ def streak(goal_ratios: Sequence[float], threshold: float | None) -> int:
     return missed.index(True) if True in missed else len(missed)
 
 
-def loop(session: Session, here: Position, iterate: Iterate) -> dict[str, Any]:
+def loop(session: Session, here: ResumeState, iterate: Iterate) -> dict[str, Any]:
     """Iterates from a position to the end, and returns the content of summary.json.
 
     A checkpoint comes last of all that belongs to its iteration: what the tables have up to there,
@@ -118,7 +118,7 @@ def loop(session: Session, here: Position, iterate: Iterate) -> dict[str, Any]:
                 f"{'greedy' if settings.greedy else 'sampled'} episodes of a uniform draw"
             )
         rate = row["env_steps"] / clock.seconds()
-        ended = int(metrics.watched[0])
+        ended = int(metrics.reported[0])
         ratio = f"{row['goal_ratio']:.3f} of {ended} episode(s)" if ended else "not known yet"
         progress.advance(1, f"training goal ratio {ratio}, {rate:,.0f} steps/s")
         asked = greatest(interruption.asked or 0)
@@ -126,7 +126,7 @@ def loop(session: Session, here: Position, iterate: Iterate) -> dict[str, Any]:
         if last:
             directory.write_json("summary.json", summary)
         if evaluated or asked:
-            checkpoints.save_position(Position.make(state, iteration, counts, held, clock.seconds()))
+            checkpoints.save_position(ResumeState.make(state, iteration, counts, held, clock.seconds()))
             saved = iteration
         if last:
             return summary
@@ -138,11 +138,10 @@ def loop(session: Session, here: Position, iterate: Iterate) -> dict[str, Any]:
 
 
 def _check_finite(metrics: Metrics, iteration: int, saved: int, directory: RunDirectory) -> None:
-    if metrics.broken:
+    if metrics.non_finite:
         good = f"iteration {saved} is the last good checkpoint" if saved else "there is no checkpoint yet"
-        raise DivergedError(
-            f"{directory.folder}: at iteration {iteration} not finite: {', '.join(metrics.broken)}; {good}"
-        )
+        names = ", ".join(metrics.non_finite)
+        raise DivergedError(f"{directory.folder}: at iteration {iteration} not finite: {names}; {good}")
 
 
 def _summary(settings: RunSettings, row: tables.Row, evaluated: tables.Row, clock: Clock) -> dict[str, Any]:

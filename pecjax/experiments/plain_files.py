@@ -17,7 +17,7 @@ import numpy as np
 
 from pecjax import settings_tree
 from pecjax.errors import InputError
-from pecjax.experiments.processes import is_lead
+from pecjax.experiments.processes import is_primary
 from pecjax.world.mjcf_file import read_mjcf
 
 Row = dict[str, Any]
@@ -128,7 +128,7 @@ def alone(folder: Path) -> Iterator[None]:
     Raises:
         InputError: another one does already.
     """
-    if not is_lead():
+    if not is_primary():
         yield
         return
     place = os.open(folder, os.O_RDONLY)

@@ -69,24 +69,24 @@ def join(coordinator: str, number: int | None = None, index: int | None = None) 
         raise InputError(f"coordinator {coordinator}: the processes could not be joined ({error})") from error
 
 
-def is_lead() -> bool:
+def is_primary() -> bool:
     """Whether this process is the one that writes and speaks; so is one that is alone."""
     return jax.process_index() == 0
 
 
-def by_the_lead(write: Callable[..., None]) -> Callable[..., None]:
+def primary_only(write: Callable[..., None]) -> Callable[..., None]:
     """Makes a function one that only the lead carries out: all processes see one folder."""
 
     @functools.wraps(write)
     def write_if_lead(*args: Any, **kwargs: Any) -> None:
-        if is_lead():
+        if is_primary():
             write(*args, **kwargs)
 
     return write_if_lead
 
 
 @contextlib.contextmanager
-def together(what: Any = None) -> Iterator[None]:
+def synchronized(what: Any = None) -> Iterator[None]:
     """What every process does for itself before it needs the others: if one fails, none goes on.
 
     Args:

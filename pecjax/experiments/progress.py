@@ -7,7 +7,7 @@ import time
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress as Bar, TextColumn, TimeRemainingColumn
 
-from pecjax.experiments.processes import is_lead
+from pecjax.experiments.processes import is_primary
 
 SECONDS_BETWEEN_LINES = 10.0  # where there is no terminal to draw a bar on
 
@@ -17,7 +17,7 @@ class Progress:
 
     def __init__(self, iterations: int) -> None:
         """Prepares a bar of so many iterations; it shows with the first `advance`."""
-        self._console = Console(stderr=True, highlight=False, soft_wrap=True, quiet=not is_lead())
+        self._console = Console(stderr=True, highlight=False, soft_wrap=True, quiet=not is_primary())
         self._iterations = iterations
         self._done = 0
         self._since: tuple[float, int] | None = None  # when its pace began to count, and at what

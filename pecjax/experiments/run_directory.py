@@ -13,7 +13,7 @@ from pecjax import settings_tree
 from pecjax.errors import InputError
 from pecjax.experiments import former_versions, plain_files
 from pecjax.experiments.presets import RunSettings
-from pecjax.experiments.processes import by_the_lead
+from pecjax.experiments.processes import primary_only
 from pecjax.experiments.provenance import FACTS, session_facts
 from pecjax.world.configuration_files import table_text
 from pecjax.world.coordinates import Configurations, load_coordinates
@@ -32,7 +32,7 @@ class RunDirectory:
         self.folder = folder
         self.scene_path = folder / "scene.xml"
 
-    @by_the_lead
+    @primary_only
     def create(
         self, settings: RunSettings, scene_path: Path, table: Configurations, num_devices: int
     ) -> None:
@@ -64,7 +64,7 @@ class RunDirectory:
         """Reads the configurations back."""
         return load_coordinates(self.folder / "coordinates.csv")
 
-    @by_the_lead
+    @primary_only
     def append(self, name: str, rows: Iterable[plain_files.Row]) -> None:
         """Adds rows to a table, with a header when it is new."""
         path = self.folder / name
@@ -87,7 +87,7 @@ class RunDirectory:
         except ValueError as error:
             raise InputError(f"{self.folder / name}: column {column} is damaged ({error})") from error
 
-    @by_the_lead
+    @primary_only
     def roll_back(self, name: str, keep: Callable[[int], bool]) -> None:
         """Keeps only the whole rows of those iterations that are wanted.
 
@@ -112,18 +112,18 @@ class RunDirectory:
         place = _place(path, header, "iteration")
         return header, [(int(r[place]), r) for r in rows if len(r) == len(header) and r[place].isdecimal()]
 
-    @by_the_lead
+    @primary_only
     def remove(self, *names: str) -> None:
         """Removes files that the end of a run has written."""
         for name in names:
             (self.folder / name).unlink(missing_ok=True)
 
-    @by_the_lead
+    @primary_only
     def write_json(self, name: str, content: dict[str, Any]) -> None:
         """Writes one JSON object."""
         plain_files.replace_file(self.folder / name, plain_files.json_text(content))
 
-    @by_the_lead
+    @primary_only
     def record(self, settings: RunSettings, num_devices: int, from_iteration: int = 0) -> None:
         """Writes config.json: the settings, the facts when the run began, and one more session."""
         session = session_facts(num_devices, from_iteration)

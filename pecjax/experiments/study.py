@@ -15,8 +15,8 @@ from pecjax.agents.agent import Metrics
 from pecjax.errors import DivergedError, StoppedError
 from pecjax.experiments import tables
 from pecjax.experiments.assembly import load_world
-from pecjax.experiments.evaluation import Flights
-from pecjax.experiments.grid import Member, StudySettings, fixed, numbers
+from pecjax.experiments.evaluation import EvalResult
+from pecjax.experiments.grid import RunSpec, StudySettings, fixed, numbers
 from pecjax.experiments.interruption import Interruption
 from pecjax.experiments.measures import cvar
 from pecjax.experiments.plain_files import Row, exact_text, writing
@@ -96,7 +96,7 @@ def _make_slices(
 
 def _train(
     settings: StudySettings,
-    members: tuple[Member, ...],
+    members: tuple[RunSpec, ...],
     program: Program,
     progress: Progress,
     interruption: Interruption,
@@ -157,7 +157,7 @@ def _of_run(tree: Any, place: int) -> Any:
 class _Rows:
     """The rows of one run, as they come."""
 
-    def __init__(self, settings: StudySettings, member: Member, batch: int) -> None:
+    def __init__(self, settings: StudySettings, member: RunSpec, batch: int) -> None:
         named: Row = {"study": settings.name, **member._asdict(), **dict(member.values)}
         del named["values"]
         self._run = ", ".join(f"{name} {value}" for name, value in named.items() if value is not None)
@@ -170,15 +170,16 @@ class _Rows:
         self.diverged = ""  # which run, when and where, once it has
 
     def add_metrics(self, iteration: int, metrics: Metrics) -> None:
-        if metrics.broken and not self.diverged:
-            self.diverged = f"{self._run}: at iteration {iteration} not finite: {', '.join(metrics.broken)}"
+        if metrics.non_finite and not self.diverged:
+            names = ", ".join(metrics.non_finite)
+            self.diverged = f"{self._run}: at iteration {iteration} not finite: {names}"
         row = tables.metrics_row(iteration, self._batch, 0.0, metrics)
         kept = ("iteration", "env_steps", "goal_ratio", "episodes", "mean_return")
         self.tables["metrics"].append(self._head | {name: row[name] for name in kept})
         self._counts = self._counts + metrics.counts
         self._since_evaluation.append(row["goal_ratio"])
 
-    def add_evaluation(self, iteration: int, flights: Flights) -> None:
+    def add_evaluation(self, iteration: int, flights: EvalResult) -> None:
         num_configs = self._counts.shape[1]
         row = tables.evaluation_row(iteration, iteration * self._batch, flights, num_configs)
         ratios = np.array([row[f"c{config}"] for config in range(num_configs)])

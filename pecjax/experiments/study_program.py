@@ -13,7 +13,7 @@ from jax.sharding import PartitionSpec
 from pecjax.agents.agent import AXIS, Metrics, TrainState, fleet_mesh
 from pecjax.experiments.assembly import make_agent
 from pecjax.experiments.devices import check_memory, choose_num_devices
-from pecjax.experiments.evaluation import Flights, even_draw, make_flyer
+from pecjax.experiments.evaluation import EvalResult, make_flyer, stratified_config_ids
 from pecjax.experiments.presets import RunSettings
 from pecjax.world.coordinates import Configurations
 from pecjax.world.navigation import RoomsNavigation
@@ -32,7 +32,7 @@ class Program(NamedTuple):
 
     init: Callable[[np.ndarray, dict[str, np.ndarray]], TrainState]
     iterate: Callable[[TrainState], tuple[TrainState, Metrics]]
-    evaluate: Callable[[Any], Flights]
+    evaluate: Callable[[Any], EvalResult]
     steps_per_iteration: int
 
 
@@ -52,12 +52,12 @@ def make_program(settings: RunSettings, scene: Scene, table: Configurations, run
     agent = make_agent(settings, env, table, settings.sampler.make(table.size))
     check_memory(agent.replay_bytes * runs, devices)
     fly = make_flyer(env, table, agent, greedy=settings.greedy, seed=settings.evaluation_seed)
-    config_id = even_draw(table.size, settings.evaluation_episodes, settings.evaluation_seed)
+    config_id = stratified_config_ids(table.size, settings.evaluation_episodes, settings.evaluation_seed)
 
     def init(seed: jax.Array, numbers: dict[str, jax.Array]) -> TrainState:
         return agent.init(jax.random.key(seed), numbers)
 
-    def evaluate(learner: Any) -> Flights:
+    def evaluate(learner: Any) -> EvalResult:
         return fly(learner, jnp.asarray(config_id), jnp.arange(config_id.size))._replace(paths=None)
 
     def spread(one: Callable, **options: Any) -> Callable:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from pecjax.agents.agent import Metrics
-from pecjax.experiments.evaluation import Flights, goal_ratios
+from pecjax.experiments.evaluation import EvalResult, goal_ratios
 from pecjax.experiments.plain_files import Row
 
 DRAWN_FLIGHTS = 2  # of each configuration, kept in trajectories.csv
@@ -16,7 +16,7 @@ DRAWN_FLIGHTS = 2  # of each configuration, kept in trajectories.csv
 def metrics_row(iteration: int, batch: int, seconds: float, metrics: Metrics) -> Row:
     """One row of metrics.csv, for an iteration of `batch` environment steps."""
     trials = int(np.asarray(metrics.counts)[0].sum())
-    watched, failures = np.asarray(metrics.watched).tolist()
+    reported, failures = np.asarray(metrics.reported).tolist()
 
     def mean(total: float) -> float:
         return total / trials if trials else float("nan")
@@ -25,7 +25,7 @@ def metrics_row(iteration: int, batch: int, seconds: float, metrics: Metrics) ->
         "iteration": iteration,
         "env_steps": iteration * batch,
         "seconds": round(seconds, 3),
-        "goal_ratio": (watched - failures) / watched if watched else float("nan"),
+        "goal_ratio": (reported - failures) / reported if reported else float("nan"),
         "episodes": trials,
         "mean_return": mean(float(metrics.return_sum)),
         "mean_length": mean(float(metrics.length_sum)),
@@ -45,7 +45,7 @@ def configuration_rows(iteration: int, counts: np.ndarray, probabilities: np.nda
         }
 
 
-def evaluation_row(iteration: int, env_steps: int, flights: Flights, num_configs: int) -> Row:
+def evaluation_row(iteration: int, env_steps: int, flights: EvalResult, num_configs: int) -> Row:
     """One row of evaluation.csv; column c3 is the goal ratio of configuration 3."""
     ratios = goal_ratios(flights, num_configs)
     return {
@@ -56,7 +56,7 @@ def evaluation_row(iteration: int, env_steps: int, flights: Flights, num_configs
     } | {f"c{config}": ratio for config, ratio in enumerate(ratios)}
 
 
-def path_rows(flights: Flights, num_configs: int) -> Iterator[Row]:
+def path_rows(flights: EvalResult, num_configs: int) -> Iterator[Row]:
     """The rows of trajectories.csv: some flights of each configuration, step by step."""
     for config in range(num_configs):
         for episode in np.flatnonzero(flights.config_id == config)[:DRAWN_FLIGHTS]:

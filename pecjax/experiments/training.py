@@ -12,13 +12,13 @@ import numpy as np
 from pecjax.agents.agent import TrainState
 from pecjax.errors import InputError
 from pecjax.experiments.assembly import Run, abstract_state, build, load_world
-from pecjax.experiments.checkpoint import Checkpoints, Position
+from pecjax.experiments.checkpoint import Checkpoints, ResumeState
 from pecjax.experiments.devices import advice_on_idle_devices, choose_num_devices
 from pecjax.experiments.interruption import Interruption
 from pecjax.experiments.loop import Clock, Iterate, Session, is_counted, is_evaluated, loop, streak
 from pecjax.experiments.plain_files import alone, check_free, writing
 from pecjax.experiments.presets import RunSettings, check_settings
-from pecjax.experiments.processes import ending_together, together
+from pecjax.experiments.processes import ending_together, synchronized
 from pecjax.experiments.progress import Progress
 from pecjax.experiments.run_directory import RunDirectory
 from pecjax.world.notices import world_notices
@@ -58,13 +58,13 @@ def train(settings: RunSettings, folder: Path, devices: int | None = None) -> di
     """
     directory = RunDirectory(folder)
     with ending_together(_how_to_go_on(folder)):
-        with together(settings):
+        with synchronized(settings):
             check_settings(settings)
             num_devices = choose_num_devices(devices, settings.learner.shares)
             scene_path, scene, table = load_world(settings)
             build(settings, scene, table, num_devices)
             check_free(folder)
-        with together():
+        with synchronized():
             directory.create(settings, scene_path, table, num_devices)
         return _go(settings, directory, num_devices, resumed=False)
 
@@ -83,7 +83,7 @@ def resume(settings: RunSettings, folder: Path, devices: int | None = None) -> d
     """
     directory = RunDirectory(folder)
     with ending_together(_how_to_go_on(folder)):
-        with together(settings):
+        with synchronized(settings):
             check_settings(settings)
             differing = directory.differences(settings)
             if differing:
@@ -102,7 +102,7 @@ def _how_to_go_on(folder: Path) -> str:
 
 def _go(settings: RunSettings, directory: RunDirectory, num_devices: int, resumed: bool) -> dict[str, Any]:
     folder = directory.folder
-    with together():  # each reads what the lead has written
+    with synchronized():  # each reads what the lead has written
         scene = load_scene(directory.scene_path, settings.resolution)
         run = build(settings, scene, directory.table(), num_devices)
     with alone(folder), Progress(settings.iterations) as progress, Interruption() as interruption:
@@ -121,18 +121,18 @@ def _go(settings: RunSettings, directory: RunDirectory, num_devices: int, resume
             return loop(session, here, iterate)
 
 
-def _begin(session: Session) -> tuple[Position, Iterate]:
+def _begin(session: Session) -> tuple[ResumeState, Iterate]:
     with session.clock.compiling():
         state, iterate = start(session.run, session.settings.seed)
-    return Position.make(state, 0, _no_counts(session.run), 0, 0.0), iterate
+    return ResumeState.make(state, 0, _no_counts(session.run), 0, 0.0), iterate
 
 
-def _go_on(session: Session) -> tuple[Position, Iterate]:
+def _go_on(session: Session) -> tuple[ResumeState, Iterate]:
     """The newest position to go on from; the tables are rolled back to it."""
     settings, run, directory, progress, _, clock = session
     folder = directory.folder
     checkpoints = Checkpoints(folder, directory.identity())
-    here, said = checkpoints.load_position(Position.make(abstract_state(run), 0, _no_counts(run), 0, 0.0))
+    here, said = checkpoints.load_position(ResumeState.make(abstract_state(run), 0, _no_counts(run), 0, 0.0))
     for line in said:
         progress.say(line)
     done = int(here.iteration)

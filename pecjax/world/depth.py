@@ -46,11 +46,11 @@ def depth_image(scene: Scene, position: jax.Array, quaternion: jax.Array) -> jax
     with jax.default_matmul_precision("highest"):  # GPUs would round products to 11 bits
         origin = position + rotation @ jnp.asarray(camera.position, position.dtype)
         directions = rotation @ local
-    depth = cast(scene, origin, directions)
+    depth = raycast(scene, origin, directions)
     return jnp.clip(depth, camera.near, camera.far).reshape(camera.height, camera.width)
 
 
-def cast(scene: Scene, origin: jax.Array, directions: jax.Array) -> jax.Array:
+def raycast(scene: Scene, origin: jax.Array, directions: jax.Array) -> jax.Array:
     """Parameter (R,) at which rays meet the nearest wall, inf for none (the slab test).
 
     A ray that starts inside a wall meets it where it leaves.

@@ -101,7 +101,7 @@ def rotor_controls(scene: Scene, gains: ControllerGains, state: DroneState, comm
     ])  # fmt: skip
     inertia = jnp.asarray(scene.inertia, rates.dtype)
     torque = inertia * angular_acceleration + jnp.cross(rates, inertia * rates)
-    return mix(scene, dot(force, rotation[:, 2]), torque)
+    return allocate_rotors(scene, dot(force, rotation[:, 2]), torque)
 
 
 def _acceleration(
@@ -127,7 +127,7 @@ def _acceleration(
     return jnp.concatenate([level, climb[None]])
 
 
-def mix(scene: Scene, thrust: jax.Array, torque: jax.Array) -> jax.Array:
+def allocate_rotors(scene: Scene, thrust: jax.Array, torque: jax.Array) -> jax.Array:
     """Rotor controls (U,) for a thrust (N) and a torque (3,) N m; yaw gives way at the limits."""
     inverse = jnp.asarray(np.linalg.pinv(scene.rotors.wrench), torque.dtype)
     lower = jnp.asarray(scene.rotors.lower, torque.dtype)
