@@ -114,6 +114,7 @@ def test_figures_draws_them_again_and_names_them(run, capsys):
     assert len(named) >= 8
 
 
+@pytest.mark.slow
 def test_the_sampler_that_the_docs_show_trains_resumes_and_evaluates(tmp_path, monkeypatch, capsys):
     """It lies in a file beside, and the run knows it by its address."""
     shown = re.search(
