@@ -159,6 +159,23 @@ def test_its_tables_have_a_row_for_everything(study, settings):
     np.testing.assert_array_equal(ended, metrics.groupby(["sampler", "seed"]).episodes.sum())
 
 
+def test_a_study_of_the_first_version_goes_on(study, settings, tmp_path):
+    """It named samplers by words, had an α of all runs, and no further grid."""
+    folder = tmp_path / "study"
+    shutil.copytree(study, folder)
+    content = json.loads((folder / "study.json").read_text())
+    content["settings"]["run"] |= {"sampler": "pec", "alpha": 0.2}
+    del content["settings"]["grid"]
+    (folder / "study.json").write_text(json.dumps(content))
+    assert StudyDirectory(folder).settings() == settings
+    run_study(settings, folder)
+    assert digests(folder) == digests(study)
+    with pytest.raises(
+        pecjax.InputError, match=r"differs in grid \(\[\] there, \[\['ppo.clip', \[0.1\]\]\] here"
+    ):
+        run_study(replace(settings, grid=(("ppo.clip", (0.1,)),)), folder)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("sampler", "alpha", "seed"), [("pec", 3.0, 7), ("uniform", None, 4)])
 def test_a_run_of_a_study_is_the_run_that_train_would_make(sampler, alpha, seed, study, settings, folders):
