@@ -14,7 +14,6 @@ import importlib.metadata
 import inspect
 import pkgutil
 from collections.abc import Iterator, Mapping
-from types import ModuleType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import cattrs
@@ -44,13 +43,13 @@ def resolve(name: str, base: type[T], package: str) -> type[T]:
     """
     if ":" in name:
         return _load(name, base)
+    modules = [about.name for about in pkgutil.iter_modules(importlib.import_module(package).__path__)]
+    if name in modules and (kind := _only_kind(f"{package}.{name}", base)):
+        return kind
     entries = {entry.name: entry.value for entry in importlib.metadata.entry_points(group=package)}
-    kinds = _kinds(base, package)
-    if name in kinds:
-        return kinds[name]
     if name in entries:
         return _load(entries[name], base)
-    known = [*kinds, *entries]
+    known = [module for module in modules if _only_kind(f"{package}.{module}", base)] + [*entries]
     what = base.__name__.removesuffix("Settings").lower()
     raise InputError(
         f"unknown {what} '{name}'{nearest(name, known)}; choose one of {', '.join(known)}, "
@@ -154,23 +153,15 @@ def nearest(word: str, known: list[str]) -> str:
     return f" (did you mean {near[0]}?)" if near else ""
 
 
-def _kinds(base: type[T], package: str) -> dict[str, type[T]]:
-    """The kinds of a package by the names of their modules; one that is alone in its module counts."""
-    found = {}
-    for about in pkgutil.iter_modules(importlib.import_module(package).__path__):
-        kinds = _defined(importlib.import_module(f"{package}.{about.name}"), base)
-        if len(kinds) == 1:
-            found[about.name] = kinds[0]
-    return found
-
-
-def _defined(module: ModuleType, base: type[T]) -> list[type[T]]:
-    return [
+def _only_kind(module: str, base: type[T]) -> type[T] | None:
+    """The kind that a module defines, if it defines just one."""
+    kinds = [
         value
-        for value in vars(module).values()
-        if isinstance(value, type) and issubclass(value, base) and value.__module__ == module.__name__
+        for value in vars(importlib.import_module(module)).values()
+        if isinstance(value, type) and issubclass(value, base) and value.__module__ == module
         if not inspect.isabstract(value)
     ]
+    return kinds[0] if len(kinds) == 1 else None
 
 
 def _load(where: str, base: type[T]) -> type[T]:

@@ -76,7 +76,7 @@ def test_without_a_header_a_line_has_the_required_columns(tmp_path):
 numbers = strategies.integers(1, 30).flatmap(
     lambda rows: strategies.tuples(
         arrays(np.float32, (rows, 2), elements=strategies.floats(-100, 100, width=32)),
-        arrays(np.int32, rows, elements=strategies.integers(0, 10**6)),
+        arrays(np.int32, rows, elements=strategies.integers(0, 2**31 - 1)),
         arrays(np.float32, (rows, 2), elements=strategies.floats(-20, 20, width=32)),
         arrays(np.float32, rows, elements=strategies.floats(0, 2.0**100, width=32)),
     )

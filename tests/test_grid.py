@@ -1,6 +1,6 @@
 """Grids of any setting: which runs there are, which share a program, and what is reported of them."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -8,7 +8,8 @@ import pytest
 from synthetic import study_settings, write_study
 from test_settings_tree import OWN
 
-from pecjax import cli
+from pecjax import InputError, cli
+from pecjax.curriculum import SamplerSettings, uniform
 from pecjax.experiments import study_figures, study_report
 from pecjax.experiments.grid import StudySettings, fixed, numbers, read_grid
 from pecjax.experiments.presets import PRESETS
@@ -87,6 +88,21 @@ def test_grids_that_cannot_be_run_get_one_line_and_leave_nothing(words, said, tm
     out, err = capsys.readouterr()
     assert said in err and err.count("\n") == 1 and out == ""
     assert list(tmp_path.iterdir()) == []
+
+
+@dataclass(frozen=True)
+class WithoutNumbers(SamplerSettings):
+    floor: float = 0.1
+
+    def make(self, num_configs):
+        return uniform(num_configs)._replace(init=lambda: uniform(num_configs).init())
+
+
+def test_a_sampler_whose_state_lacks_the_number_is_refused():
+    own = f"{__name__}:WithoutNumbers"
+    replace(GRID, samplers=(own,), grid=()).check()
+    with pytest.raises(InputError, match=r"WithoutNumbers: its init does not take floor .* in its state"):
+        replace(GRID, samplers=(own,), grid=(FLOORS,)).check()
 
 
 @pytest.fixture(scope="module")

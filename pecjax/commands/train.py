@@ -12,7 +12,6 @@ from pecjax.commands.options import Option, Rest
 from pecjax.errors import InputError
 from pecjax.experiments import presets, processes, training
 from pecjax.experiments.run_directory import RunDirectory
-from pecjax.experiments.samplers import sampler_name
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ class Train:
             greedy=False if self.sampled_evaluation else None,
         )
         settings = settings_args.apply(settings, self.settings, Train)
-        name = sampler_name(settings.sampler).rpartition(":")[2].lower()
+        name = type(settings.sampler).__name__.lower()
         folder = self.out or Path("runs") / time.strftime(f"{name}-%Y%m%d-%H%M%S")
         go = training.resume if self.resume else training.train
         summary = go(settings, folder, self.devices)

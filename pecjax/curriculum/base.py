@@ -53,17 +53,7 @@ class Sampler(NamedTuple):
 class SamplerSettings(abc.ABC):
     """A kind of sampler with its numbers: extend it by a frozen dataclass, and a run can name it.
 
-    Example:
-        @dataclass(frozen=True)
-        class Learnability(SamplerSettings):
-            floor: float = 0.05
-
-            def make(self, num_configs: int) -> Sampler:
-                def priority(trials, failures, numbers):
-                    p = failures / jnp.maximum(trials, 1)
-                    return jnp.where(trials > 0, p * (1 - p) + numbers["floor"], 1.0)
-
-                return from_counts(num_configs, {"floor": self.floor}, priority)
+    `pec.PEC` is one; `examples/own_sampler.py` shows one in a file of its own.
     """
 
     @abc.abstractmethod

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from collections.abc import Iterator
 from typing import Any
 
+from pecjax import settings_tree
 from pecjax.errors import InputError
 from pecjax.world.drone import MAX_PIXELS, Camera
 
@@ -72,10 +72,7 @@ def image_bytes(settings: Any, camera: Camera, episodes: int = 0) -> int:
 
 def _numbers(settings: Any) -> Iterator[tuple[str, int | float]]:
     """Every number of a tree of settings with its field's name."""
-    for field in dataclasses.fields(settings):
-        value = getattr(settings, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from _numbers(value)
+    for path, value in settings_tree.leaves(settings):
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, int | float):
-                yield field.name, number
+                yield path.rpartition(".")[2], number

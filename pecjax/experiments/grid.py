@@ -9,6 +9,8 @@ from itertools import product, zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
+
 from pecjax import settings_tree
 from pecjax.errors import InputError
 from pecjax.experiments.presets import RunSettings, check_settings, override
@@ -85,9 +87,12 @@ class StudySettings:
         for seed in self.seeds:
             check_settings(override(self.run, seed=seed))
         for sampler, values in product(self.samplers, self._values()):
-            settings = self.settings_of(RunSpec("", sampler, None, 0, _that_it_has(sampler, values)))
+            alpha = self.alphas[0] if has_alpha(make_sampler(sampler)) else None
+            spec = RunSpec("", sampler, alpha, 0, _that_it_has(sampler, values))
+            settings = self.settings_of(spec)
             check_settings(settings)
             settings.learner.check()
+            _check_numbers(spec, settings)
 
     def _check_grid(self) -> None:
         paths = [path for path, _ in self.grid]
@@ -146,6 +151,18 @@ def numbers(member: RunSpec) -> dict[str, float]:
     """The numbers of a run's sampler that are in its state: runs that differ in them share a program."""
     varied = {} if member.alpha is None else {"alpha": member.alpha}
     return varied | {p.removeprefix("sampler."): value for p, value in member.values if _is_number(p, value)}
+
+
+def _check_numbers(spec: RunSpec, settings: RunSettings) -> None:
+    """Makes sure that the sampler's state has the numbers that a study varies in it."""
+    varied, sampler = numbers(spec), settings.sampler.make(1)
+    try:
+        jax.eval_shape(lambda: sampler.init(**varied))
+    except TypeError as error:
+        raise InputError(
+            f"sampler {spec.sampler}: its init does not take {', '.join(varied)} ({error}); keep the numbers "
+            "that a study varies in its state (see `from_counts`)"
+        ) from error
 
 
 def fixed(values: Values) -> Values:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from pecjax import settings_tree
@@ -33,13 +34,21 @@ def sampler_name(sampler: SamplerSettings) -> str:
     return settings_tree.short_name(type(sampler), _SHORT)
 
 
+def label(name: str, values: Iterable[tuple[str, Any]]) -> list[str]:
+    """What people are shown: the sampler's class or short name, and each value by the last of its path."""
+    return [
+        name.rpartition(":")[2],
+        *(
+            f"{_GREEK.get(last, last)} = {exact_text(value) if isinstance(value, float) else value}"
+            for last, value in ((path.rpartition(".")[2], value) for path, value in values)
+        ),
+    ]
+
+
 def sampler_label(sampler: SamplerSettings) -> str:
     """Its name with its numbers, for people."""
-    numbers = [
-        f"{_GREEK.get(name, name)} = {exact_text(value) if isinstance(value, float) else value}"
-        for name, value in settings_tree.leaves(sampler)
-    ]
-    return sampler_name(sampler) + (f" ({', '.join(numbers)})" if numbers else "")
+    name, *numbers = label(sampler_name(sampler), settings_tree.leaves(sampler))
+    return f"{name} ({', '.join(numbers)})" if numbers else name
 
 
 def has_alpha(sampler: SamplerSettings) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +22,7 @@ from pecjax.experiments.measures import (
     steps_until,
     trial_and_failure_ratios,
 )
+from pecjax.experiments.samplers import label
 from pecjax.experiments.study_directory import StudyDirectory
 
 THRESHOLDS = (0.9, 0.95)
@@ -60,7 +61,7 @@ def read_study(folder: Path) -> StudyTables:
         table["alpha"] = [in_full.get(alpha, alpha) for alpha in table.alpha]
         varied = ["alpha", *varied_columns(table)]
         table["condition"] = [
-            _condition(sampler, dict(zip(varied, values, strict=True)))
+            _condition(sampler, zip(varied, values, strict=True))
             for sampler, *values in table[["sampler", *varied]].itertuples(index=False)
         ]
         keys = ["coordinates", "condition", "seed", "iteration", *_COLUMNS[name] & {"config"}]
@@ -82,14 +83,8 @@ def varied_columns(table: pd.DataFrame) -> list[str]:
     ]
 
 
-def _condition(sampler: str, values: dict[str, Any]) -> str:
-    said = [
-        f"{'α' if path == 'alpha' else path.rpartition('.')[2]} = "
-        f"{plain_files.exact_text(value) if isinstance(value, float) else value}"
-        for path, value in values.items()
-        if not pd.isna(value)
-    ]
-    return ", ".join([sampler.rpartition(":")[2], *said])
+def _condition(sampler: str, values: Iterable[tuple[str, Any]]) -> str:
+    return ", ".join(label(sampler, [(path, value) for path, value in values if pd.notna(value)]))
 
 
 def by_run(tables: StudyTables) -> pd.DataFrame:

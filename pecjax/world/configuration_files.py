@@ -50,8 +50,10 @@ def line_of(path: Path, kind: type, row: int) -> int:
 def table_text(table: Any) -> str:
     """A file that reads back as the same table."""
     columns = axes.to_columns(table)
+    # Nine digits tell all float32 numbers apart.
+    formats = ["%d" if np.issubdtype(c.dtype, np.integer) else "%.9g" for c in columns.values()]
     text = io.StringIO()
-    np.savetxt(text, np.stack([*columns.values()], axis=-1), "%.9g", ",", header=",".join(columns))
+    np.savetxt(text, np.stack([*columns.values()], axis=-1), formats, ",", header=",".join(columns))
     return text.getvalue()
 
 

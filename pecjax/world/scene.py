@@ -116,7 +116,7 @@ def load_scene(path: str | Path | None = None, resolution: tuple[int, int] | Non
     try:
         # Its own choice is the first device of all, which may be another process's.
         physics = mjx.put_model(_without_actuation(model), device=jax.local_devices()[0])
-    except NotImplementedError as error:  # MJX's word for features of MuJoCo that it lacks
+    except NotImplementedError as error:  # raised by MJX for a MuJoCo feature that it does not support
         raise InputError(f"{path}: MJX cannot simulate it: {error}") from error
     return Scene(
         model=model,
