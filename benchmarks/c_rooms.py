@@ -10,10 +10,10 @@ from stable_baselines3.common.vec_env import VecEnv
 
 import pecjax
 from pecjax.agents.networks import DISTANCE_SCALE
-from pecjax.world.clearance import wall_distance
-from pecjax.world.depth import pixel_directions
-from pecjax.world.flight import Command, DroneState, rotor_controls
-from pecjax.world.navigation import SPEEDS, YAW_RATES
+from pecjax.envs.rooms.clearance import wall_distance
+from pecjax.envs.rooms.depth import pixel_directions
+from pecjax.envs.rooms.flight import Command, DroneState, rotor_controls
+from pecjax.envs.rooms.navigation import SPEEDS, YAW_RATES
 
 
 class CRooms(VecEnv):

@@ -31,9 +31,9 @@ import pecjax
 from pecjax.agents.networks import encode
 from pecjax.agents.ppo_update import PPOSettings
 from pecjax.curriculum import pec
-from pecjax.experiments.devices import use_all_cores
-from pecjax.experiments.provenance import environment_facts
-from pecjax.world.navigation import SPEEDS, YAW_RATES
+from pecjax.envs.rooms.navigation import SPEEDS, YAW_RATES
+from pecjax.runtime.devices import use_all_cores
+from pecjax.runtime.provenance import environment_facts
 
 NUM_ENVS, NUM_STEPS, NUM_EPOCHS, NUM_MINIBATCHES = 512, 32, 4, 8
 BATCH = NUM_ENVS * NUM_STEPS

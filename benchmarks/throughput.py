@@ -29,9 +29,9 @@ import pecjax
 from pecjax.agents.apex_update import ApexSettings
 from pecjax.agents.ppo_update import PPOSettings
 from pecjax.curriculum import pec, uniform
-from pecjax.experiments.devices import use_all_cores
-from pecjax.experiments.presets import PRESETS
-from pecjax.experiments.provenance import environment_facts
+from pecjax.runtime.devices import use_all_cores
+from pecjax.runtime.provenance import environment_facts
+from pecjax.training.presets import PRESETS
 
 Group = dict[str, Workload]
 SECONDS_A_TURN = 0.25  # at least, so that the clock and a busy neighbour matter little

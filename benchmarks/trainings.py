@@ -10,11 +10,11 @@ import numpy as np
 from workloads import Workload
 
 import pecjax
-from pecjax.experiments import assembly, training
-from pecjax.experiments.checkpoint import Checkpoints, ResumeState
-from pecjax.experiments.grid import StudySettings
-from pecjax.experiments.presets import PRESETS, RunSettings
-from pecjax.experiments.study_program import make_program
+from pecjax.studies.grid import StudySettings
+from pecjax.training import build as assembly, train as training
+from pecjax.training.checkpoint import Checkpoints, ResumeState
+from pecjax.training.presets import PRESETS, RunSettings
+from pecjax.training.program import make_program
 
 
 def study(alphas: tuple[float, ...], at_once: int) -> Workload:

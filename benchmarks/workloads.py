@@ -18,9 +18,9 @@ import pecjax
 from pecjax.agents import AXIS, fleet_mesh
 from pecjax.agents.rollout import env_keys, init_rollout, rollout
 from pecjax.curriculum import Sampler
-from pecjax.experiments.devices import num_cores
-from pecjax.world.depth import depth_image, pixel_directions
-from pecjax.world.flight import Command, fly, hover
+from pecjax.envs.rooms.depth import depth_image, pixel_directions
+from pecjax.envs.rooms.flight import Command, fly, hover
+from pecjax.runtime.devices import num_cores
 
 SPREAD, SAME = PartitionSpec(AXIS), PartitionSpec()
 
@@ -147,7 +147,7 @@ def mjx_depth(scene: pecjax.Scene, mesh: Mesh, num_images: int) -> Workload:
     physics, posed = mjx.put_model(model), mjx.put_data(model, data)
 
     def image(place, attitude):
-        rotation = pecjax.world.rotations.quaternion_to_matrix(attitude)
+        rotation = pecjax.envs.rooms.rotations.quaternion_to_matrix(attitude)
         return jax.vmap(lambda ray: mjx.ray(physics, posed, place, rotation @ ray)[0])(local)
 
     program = sharded(jax.vmap(image), mesh, (SPREAD, SPREAD), SPREAD)

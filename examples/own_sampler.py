@@ -18,10 +18,10 @@ import jax
 import jax.numpy as jnp
 
 from pecjax.curriculum import Sampler, SamplerSettings, from_counts
-from pecjax.experiments.devices import use_all_cores
-from pecjax.experiments.studies import find_study
-from pecjax.experiments.study import run_study
-from pecjax.experiments.study_report import write_report
+from pecjax.runtime.devices import use_all_cores
+from pecjax.studies.catalogue import find_study
+from pecjax.studies.report import write_report
+from pecjax.studies.run import run_study
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@
 SCALE = "laptop"  # two or three minutes on two cores; "smoke" takes seconds and learns nothing
 
 # %%
-from pecjax.experiments.devices import use_all_cores
+from pecjax.runtime.devices import use_all_cores
 
 use_all_cores()  # before JAX is first used: every core becomes a device
 
@@ -31,10 +31,11 @@ import numpy as np
 from IPython.display import Image
 
 import pecjax
-from pecjax.experiments import run_figures, training
-from pecjax.experiments.map_figure import floor_plan
-from pecjax.experiments.studies import find_study
-from pecjax.experiments.trained import open_run
+from pecjax.plotting import run as run_figures
+from pecjax.plotting.maps import floor_plan
+from pecjax.studies.catalogue import find_study
+from pecjax.training import train as training
+from pecjax.training.load import open_run
 
 # %% [markdown]
 # ## The rooms

@@ -18,7 +18,7 @@
 SCALE = "laptop"  # some half an hour on two cores; "smoke" takes seconds and learns nothing
 
 # %%
-from pecjax.experiments.devices import use_all_cores
+from pecjax.runtime.devices import use_all_cores
 
 use_all_cores()  # before JAX is first used: every core becomes a device
 
@@ -31,9 +31,10 @@ import jax
 import pandas as pd
 from IPython.display import Image, display
 
-from pecjax.experiments import study_figures, study_report
-from pecjax.experiments.studies import find_study
-from pecjax.experiments.study import run_study
+from pecjax.plotting import study as study_figures
+from pecjax.studies import report as study_report
+from pecjax.studies.catalogue import find_study
+from pecjax.studies.run import run_study
 
 # %% [markdown]
 # ## The grid

@@ -15,7 +15,7 @@
 SCALE = "laptop"  # some five minutes on two cores; "smoke" takes seconds and learns nothing
 
 # %%
-from pecjax.experiments.devices import use_all_cores
+from pecjax.runtime.devices import use_all_cores
 
 use_all_cores()  # before JAX is first used: every core becomes a device
 
@@ -31,12 +31,13 @@ import numpy as np
 from IPython.display import Image
 
 from pecjax.curriculum import Outcomes, Sampler, SamplerSettings, from_counts, pec
-from pecjax.experiments import study_figures, study_report
-from pecjax.experiments.studies import find_study
-from pecjax.experiments.study import run_study
-from pecjax.world import load_coordinates, load_scene
-from pecjax.world.scene import default_scene_path
-from pecjax.world.validity import check_coordinates
+from pecjax.envs.rooms import load_coordinates, load_scene
+from pecjax.envs.rooms.scene import default_scene_path
+from pecjax.envs.rooms.validity import check_coordinates
+from pecjax.plotting import study as study_figures
+from pecjax.studies import report as study_report
+from pecjax.studies.catalogue import find_study
+from pecjax.studies.run import run_study
 
 # %% [markdown]
 # ## A new map

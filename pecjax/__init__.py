@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from pecjax.errors import InputError as InputError
 
 if TYPE_CHECKING:
-    from pecjax import agents as agents, curriculum as curriculum
-    from pecjax.world import (
+    from pecjax import agents as agents, curriculum as curriculum, envs as envs
+    from pecjax.envs.rooms import (
         COORDINATE_SET_1 as COORDINATE_SET_1,
         COORDINATE_SET_2 as COORDINATE_SET_2,
         Configurations as Configurations,
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 # Loaded when they are first asked for: who wants the samplers alone needs no simulator.
-_SUBPACKAGES = ("agents", "curriculum", "world")
-_FROM_WORLD = (
+_SUBPACKAGES = ("agents", "curriculum", "envs")
+_FROM_ROOMS = (
     "COORDINATE_SET_1",
     "COORDINATE_SET_2",
     "Configurations",
@@ -46,10 +46,10 @@ def __getattr__(name: str) -> Any:
     """Loads a public name (PEP 562)."""
     if name in _SUBPACKAGES:
         return importlib.import_module(f"pecjax.{name}")
-    if name in _FROM_WORLD:
-        return getattr(importlib.import_module("pecjax.world"), name)
+    if name in _FROM_ROOMS:
+        return getattr(importlib.import_module("pecjax.envs.rooms"), name)
     raise AttributeError(f"module 'pecjax' has no attribute '{name}'")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_SUBPACKAGES, *_FROM_WORLD})
+    return sorted({*globals(), *_SUBPACKAGES, *_FROM_ROOMS})

@@ -20,9 +20,9 @@ from pecjax.commands.options import read
 from pecjax.commands.study import Study
 from pecjax.commands.train import Train
 from pecjax.errors import DivergedError, InputError, LostProcessError, StoppedError
-from pecjax.experiments import devices
-from pecjax.experiments.presets import PRESETS
+from pecjax.runtime import devices
 from pecjax.settings_tree import nearest
+from pecjax.training.presets import PRESETS
 
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import pecjax
-from pecjax.world import navigation
-from pecjax.world.clearance import wall_distance
-from pecjax.world.flight import DroneState
-from pecjax.world.rotations import heading, heading_to_quaternion
-from pecjax.world.scene import ENDLESS, default_scene_path
+from pecjax.envs.rooms import navigation
+from pecjax.envs.rooms.clearance import wall_distance
+from pecjax.envs.rooms.flight import DroneState
+from pecjax.envs.rooms.rotations import heading, heading_to_quaternion
+from pecjax.envs.rooms.scene import ENDLESS, default_scene_path
 
 # The tests of several devices need four, and CPUs can pretend to be. JAX has not started yet: importing
 # pecjax does not (`test_architecture.py`).

@@ -23,14 +23,14 @@ from pathlib import Path
 import numpy as np
 
 import pecjax
-from pecjax.experiments.checkpoint import Checkpoints
-from pecjax.experiments.drawing import read_table
-from pecjax.experiments.run_directory import RunDirectory
-from pecjax.experiments.run_figures import _COLUMNS
-from pecjax.experiments.study_directory import StudyDirectory
-from pecjax.world import load_coordinates, load_scene
-from pecjax.world.scene import default_scene_path
-from pecjax.world.validity import check_coordinates
+from pecjax.envs.rooms import load_coordinates, load_scene
+from pecjax.envs.rooms.scene import default_scene_path
+from pecjax.envs.rooms.validity import check_coordinates
+from pecjax.plotting.run import _COLUMNS
+from pecjax.storage.tables import read_table
+from pecjax.studies.directory import StudyDirectory
+from pecjax.training.checkpoint import Checkpoints
+from pecjax.training.run_directory import RunDirectory
 
 SECONDS = 20  # of processor time that one input may take, whatever else the machine does
 PATIENCE = 300  # seconds by the clock after which it counts as hung
@@ -99,7 +99,7 @@ def scene_input(folder: Path, rng: random.Random) -> None:
     pecjax.RoomsNavigation(scene)
 
 
-def coordinates_input(folder: Path, rng: random.Random, scene: pecjax.world.Scene) -> None:
+def coordinates_input(folder: Path, rng: random.Random, scene: pecjax.envs.rooms.Scene) -> None:
     path = folder / "pairs.csv"
     path.write_bytes(
         mutate("goal_x, goal_y, start_x, start_y\n5, -2, 0, -2\n-1 0 -1 4\n\n# a comment\n3, 2, 3, 6\n", rng)
@@ -209,10 +209,10 @@ def fuzz(inputs: int, seed: int, run: Path) -> Counter:
 def sample_run(folder: Path) -> Path:
     """The files of a small run and a small study, as they would be written."""
     from pecjax import settings_tree
-    from pecjax.experiments import plain_files
-    from pecjax.experiments.presets import PRESETS
-    from pecjax.experiments.studies import find_study
-    from pecjax.world.configuration_files import table_text
+    from pecjax.envs.configuration_files import table_text
+    from pecjax.storage import files as plain_files
+    from pecjax.studies.catalogue import find_study
+    from pecjax.training.presets import PRESETS
 
     folder.mkdir(parents=True, exist_ok=True)
     config = {"settings": settings_tree.to_json(PRESETS["fast"])}

@@ -31,8 +31,9 @@ from pathlib import Path
 
 import jax
 
-from pecjax.experiments import study, training
-from pecjax.experiments.studies import find_study
+from pecjax.studies import run as study
+from pecjax.training import train as training
+from pecjax.studies.catalogue import find_study
 
 folder, cache, size = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 jax.config.update("jax_compilation_cache_dir", cache)

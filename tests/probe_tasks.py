@@ -5,8 +5,8 @@ import numpy as np
 from brax.envs.base import State
 
 import pecjax
-from pecjax.world.drone import Camera
-from pecjax.world.navigation import FlightState
+from pecjax.envs.rooms.navigation import FlightState
+from pecjax.envs.rooms.vehicle import Camera
 
 FAR = 10.0
 

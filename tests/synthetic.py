@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from pecjax.agents.agent import Metrics
-from pecjax.experiments.evaluation import EvalResult
-from pecjax.experiments.grid import StudySettings
-from pecjax.experiments.studies import find_study
-from pecjax.experiments.study import _Rows
-from pecjax.experiments.study_directory import StudyDirectory
-from pecjax.world import load_coordinates, load_scene
-from pecjax.world.scene import default_scene_path
+from pecjax.envs.rooms import load_coordinates, load_scene
+from pecjax.envs.rooms.scene import default_scene_path
+from pecjax.studies.catalogue import find_study
+from pecjax.studies.directory import StudyDirectory
+from pecjax.studies.grid import StudySettings
+from pecjax.studies.run import _Rows
+from pecjax.training.evaluation import EvalResult
 
 BATCH = 16_384  # environment steps an iteration
 EVALUATIONS, EVERY = 8, 5  # iterations between evaluations

@@ -17,7 +17,7 @@ from pecjax.agents.apex_update import ApexSettings
 from pecjax.agents.networks import encode
 from pecjax.agents.q_network import QNetwork, QNetworkSettings, action_values
 from pecjax.agents.replay import ReplaySettings
-from pecjax.experiments.presets import PRESETS
+from pecjax.training.presets import PRESETS
 
 TOY = ApexSettings(
     num_envs=16,

@@ -21,7 +21,7 @@ from jax._src import xla_bridge
 report = {
     "environment": dict(os.environ) == before,
     "backend": xla_bridge.backends_are_initialized(),
-    "experiments": sorted(name for name in sys.modules if name.startswith("pecjax.experiments")),
+    "training": sorted(name for name in sys.modules if name.startswith("pecjax.training")),
 }
 print(json.dumps(report))
 """
@@ -66,7 +66,7 @@ def test_importing_leaves_the_environment_and_the_devices_alone(imported):
     assert report["environment"]
     assert not report["backend"]
     # The command line's libraries (figures, tables, checkpoints) are for those who run it.
-    assert report["experiments"] == []
+    assert report["training"] == []
 
 
 @pytest.mark.parametrize(

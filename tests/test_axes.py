@@ -10,8 +10,8 @@ from hypothesis import given, settings, strategies
 from hypothesis.extra.numpy import arrays
 
 import pecjax
-from pecjax.world.axes import axes_of, axis, columns_of, from_columns, make_table, required, to_columns
-from pecjax.world.configuration_files import read_table, table_text
+from pecjax.envs.axes import axes_of, axis, columns_of, from_columns, make_table, required, to_columns
+from pecjax.envs.configuration_files import read_table, table_text
 
 
 @struct.dataclass

@@ -16,9 +16,10 @@ from test_scene import BAD_MAPS
 
 import pecjax
 from pecjax.cli import main
-from pecjax.experiments import devices, training
-from pecjax.world import load_coordinates, load_scene
-from pecjax.world.scene import default_scene_path
+from pecjax.envs.rooms import load_coordinates, load_scene
+from pecjax.envs.rooms.scene import default_scene_path
+from pecjax.runtime import devices
+from pecjax.training import train as training
 
 ROOT = Path(__file__).parents[1]
 TRAIN = ["train", "--iterations", "2", "--num-envs", "8", "--out", "run"]

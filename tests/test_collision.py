@@ -7,7 +7,7 @@ import pytest
 from conftest import extent
 from jax import numpy as jnp
 
-from pecjax.world.clearance import wall_distance
+from pecjax.envs.rooms.clearance import wall_distance
 
 NUM_POINTS = 6000
 TOUCHING = 1e-4  # m, where float32 and float64 may differ about who touches

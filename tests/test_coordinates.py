@@ -7,10 +7,10 @@ from hypothesis.extra.numpy import arrays
 from jax import numpy as jnp
 
 import pecjax
-from pecjax.world.clearance import wall_distance
-from pecjax.world.configuration_files import table_text
-from pecjax.world.notices import world_notices
-from pecjax.world.validity import free_regions
+from pecjax.envs.configuration_files import table_text
+from pecjax.envs.rooms.clearance import wall_distance
+from pecjax.envs.rooms.notices import world_notices
+from pecjax.envs.rooms.validity import free_regions
 
 HEIGHT = 1.2
 SET_1, SET_2 = pecjax.COORDINATE_SET_1, pecjax.COORDINATE_SET_2

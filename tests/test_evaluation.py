@@ -11,8 +11,8 @@ import pytest
 import pecjax
 from pecjax.agents import fleet_mesh, ppo
 from pecjax.agents.networks import NetworkSettings
-from pecjax.experiments.evaluation import EvalResult, goal_ratios, make_evaluator, stratified_config_ids
-from pecjax.world.navigation import NavigationSettings
+from pecjax.envs.rooms.navigation import NavigationSettings
+from pecjax.training.evaluation import EvalResult, goal_ratios, make_evaluator, stratified_config_ids
 
 # Steering straight at the goal reaches the first, hits a wall on the way to the second, and runs
 # out of steps on the way to the third.

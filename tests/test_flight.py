@@ -10,8 +10,8 @@ from jax import numpy as jnp
 from scipy import signal
 
 import pecjax
-from pecjax.world.flight import Command, DroneState, allocate_rotors, hover, physics_step, rotor_controls
-from pecjax.world.rotations import heading
+from pecjax.envs.rooms.flight import Command, DroneState, allocate_rotors, hover, physics_step, rotor_controls
+from pecjax.envs.rooms.rotations import heading
 
 HEIGHT = 1.2
 QUARTER, EIGHTH = np.pi / 2, np.pi / 4

@@ -10,11 +10,12 @@ from test_settings_tree import OWN
 
 from pecjax import InputError, cli
 from pecjax.curriculum import SamplerSettings, uniform
-from pecjax.experiments import study_figures, study_report
-from pecjax.experiments.grid import StudySettings, fixed, numbers, read_grid
-from pecjax.experiments.presets import PRESETS
-from pecjax.experiments.studies import find_study
-from pecjax.experiments.study import run_study
+from pecjax.plotting import study as study_figures
+from pecjax.studies import report as study_report
+from pecjax.studies.catalogue import find_study
+from pecjax.studies.grid import StudySettings, fixed, numbers, read_grid
+from pecjax.studies.run import run_study
+from pecjax.training.presets import PRESETS
 
 RUN = PRESETS["fast"]
 RATES = ("ppo.learning_rate", (1e-4, 3e-4))

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Rectangle
 
 import pecjax
-from pecjax.experiments.map_figure import floor_plan, rooms, success
-from pecjax.world.coordinates import Configurations
+from pecjax.envs.rooms.config import Configurations
+from pecjax.plotting.maps import floor_plan, rooms, success
 
 # Beside the floor, the walls and the pillar of 1.4 m of OTHER_MAP.
 MORE_WALLS = """

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from pecjax.experiments.measures import (
+from pecjax.studies.statistics import (
     area_under_curve,
     cvar,
     first_held,

@@ -7,7 +7,7 @@ from scipy import stats
 from wrapped_flights import ends_of, evaluated, wrapped_flight
 
 import pecjax
-from pecjax.world.rotations import heading, quaternion_to_matrix
+from pecjax.envs.rooms.rotations import heading, quaternion_to_matrix
 
 STAND, SPIN_LEFT, AHEAD, CIRCLE = 2, 4, 12, 9
 ENDINGS = ("goal", "collision", "timeout")

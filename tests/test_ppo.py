@@ -20,8 +20,8 @@ from pecjax.agents.networks import ActorCritic, NetworkSettings
 from pecjax.agents.ppo_update import Batch, PPOSettings
 from pecjax.agents.rollout import Trajectory
 from pecjax.curriculum import PEC
-from pecjax.experiments.presets import PRESETS
-from pecjax.world.navigation import NavigationSettings
+from pecjax.envs.rooms.navigation import NavigationSettings
+from pecjax.training.presets import PRESETS
 
 RLLIB = PRESETS["rllib085"].ppo
 ROWS, ACTIONS = 64, 15

@@ -14,8 +14,9 @@ import pytest
 
 import pecjax
 from pecjax import cli
-from pecjax.experiments import processes, training
-from pecjax.experiments.studies import find_study
+from pecjax.runtime import distributed as processes
+from pecjax.studies.catalogue import find_study
+from pecjax.training import train as training
 
 pytestmark = pytest.mark.slow
 
@@ -28,7 +29,9 @@ from pathlib import Path
 import jax
 
 from pecjax import cli
-from pecjax.experiments import devices, presets, studies
+from pecjax.runtime import devices
+from pecjax.training import presets
+from pecjax.studies import catalogue as studies
 
 index, port, cache, *args = sys.argv[1:]
 jax.config.update("jax_compilation_cache_dir", cache)
@@ -218,7 +221,7 @@ def test_processes_that_cannot_begin_together(args, lines, start, tmp_path):
 
 @pytest.mark.parametrize("index", [0, 1])
 def test_a_process_whose_fellow_never_comes(index, tmp_path):
-    wait = "from pecjax.experiments import processes; processes.JOIN_SECONDS = 3; processes.join"
+    wait = "from pecjax.runtime import distributed; distributed.JOIN_SECONDS = 3; distributed.join"
     waiting = One([sys.executable, "-c", f"{wait}('localhost:{free_port()}', 2, {index})"], tmp_path / "one")
     assert waiting.exit_code(60) != 0
     assert "not all processes came within 3 s" in waiting.only_line()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pecjax.experiments import provenance
+from pecjax.runtime import provenance
 
 
 def git(folder, *args):
@@ -23,7 +23,7 @@ def git(folder, *args):
 @pytest.fixture
 def copy(tmp_path):
     """The module as another package's, in a folder that belongs to no repository."""
-    path = tmp_path / "site" / "pecjax" / "experiments" / "provenance.py"
+    path = tmp_path / "site" / "pecjax" / "runtime" / "provenance.py"
     path.parent.mkdir(parents=True)
     shutil.copy(provenance.__file__, path)
     spec = importlib.util.spec_from_file_location("provenance_copy", path)

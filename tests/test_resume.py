@@ -21,12 +21,13 @@ from pecjax.agents.q_network import QNetworkSettings
 from pecjax.agents.replay import ReplaySettings
 from pecjax.curriculum import PEC
 from pecjax.errors import DivergedError, StoppedError
-from pecjax.experiments import loop, presets, provenance, training
-from pecjax.experiments.array_files import CorruptFileError, read_arrays, write_arrays
-from pecjax.experiments.plain_files import alone
-from pecjax.experiments.presets import PRESETS
-from pecjax.experiments.run_directory import RunDirectory
-from pecjax.experiments.studies import find_study
+from pecjax.runtime import provenance
+from pecjax.storage.arrays import CorruptFileError, read_arrays, write_arrays
+from pecjax.storage.files import alone
+from pecjax.studies.catalogue import find_study
+from pecjax.training import loop, presets, train as training
+from pecjax.training.presets import PRESETS
+from pecjax.training.run_directory import RunDirectory
 
 APEX = PRESETS["apex-fast"]
 SHORT = {"evaluate_every": 2, "evaluation_episodes": 6, "configurations_every": 4, "iterations": 6}

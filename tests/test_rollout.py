@@ -9,7 +9,7 @@ from scipy import stats
 import pecjax
 from pecjax.agents.rollout import RolloutState, init_rollout, rollout
 from pecjax.curriculum import Outcomes, pec
-from pecjax.world import navigation
+from pecjax.envs.rooms import navigation
 
 NUM_ENVS, NUM_STEPS, NUM_BATCHES = 6, 14, 3
 # A goal close by, a wall close by, and a goal out of reach: every ending within a few steps.

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pecjax.experiments import run_figures
-from pecjax.experiments.configuration_figure import configurations
+from pecjax.plotting import run as run_figures
+from pecjax.plotting.configurations import configurations
 
 
 def made_metrics(iterations, batch=16_384):

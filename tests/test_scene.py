@@ -4,11 +4,10 @@ import pytest
 from jax import numpy as jnp
 
 import pecjax
-from pecjax.experiments.plain_files import scene_text
-from pecjax.world.clearance import wall_distance
-from pecjax.world.flight import hover, physics_step
-from pecjax.world.mjcf_file import read_mjcf
-from pecjax.world.scene import ENDLESS
+from pecjax.envs.rooms.clearance import wall_distance
+from pecjax.envs.rooms.flight import hover, physics_step
+from pecjax.envs.rooms.mjcf_file import read_mjcf
+from pecjax.envs.rooms.scene import ENDLESS
 
 CAMERA = (
     '<camera name="depth" pos="0.1 0 0" xyaxes="0 -1 0 0 0 1" fovy="73.7398" resolution="16 12"/>',
@@ -83,7 +82,7 @@ def test_what_is_only_for_show_may_need_files_which_are_never_opened(scene, edit
     for name in ("wall_lower", "wall_upper", "mass", "inertia"):
         np.testing.assert_array_equal(getattr(shown, name), getattr(scene, name))
     assert shown.wall_names == scene.wall_names
-    kept = scene_text(path)
+    kept = read_mjcf(path).text
     assert "file=" not in kept and 'mesh="hat"' not in kept
 
 
@@ -110,7 +109,7 @@ def test_a_map_and_the_map_that_is_saved_of_it_are_the_same(edited_rooms, other_
     rng = np.random.default_rng(0)
     saved = tmp_path / "saved.xml"
     for path in (other_map, *(edited_rooms(*odd_edits(rng)) for _ in range(40))):
-        saved.write_text(scene_text(path))
+        saved.write_text(read_mjcf(path).text)
         given, kept = read_mjcf(path), read_mjcf(saved)
         assert kept.text == given.text
         for name in ("geom_pos", "geom_size", "geom_quat", "body_inertia", "cam_quat"):

@@ -10,7 +10,7 @@ from pecjax import cli, settings_tree
 from pecjax.commands import settings_args, train
 from pecjax.commands.study import Study
 from pecjax.commands.train import Train
-from pecjax.experiments import presets
+from pecjax.training import presets
 
 OF_TRAIN = {
     "preset",

@@ -9,8 +9,8 @@ from jax import numpy as jnp
 
 from pecjax import InputError, settings_tree
 from pecjax.curriculum import PEC, SamplerSettings, Uniform, from_counts
-from pecjax.experiments.presets import PRESETS, RunSettings
-from pecjax.experiments.samplers import has_alpha, make_sampler, sampler_label
+from pecjax.training.presets import PRESETS, RunSettings
+from pecjax.training.samplers import has_alpha, make_sampler, sampler_label
 
 CURRICULUM = "pecjax.curriculum"
 

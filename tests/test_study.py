@@ -17,15 +17,18 @@ import pecjax
 from pecjax.commands.study import Study
 from pecjax.curriculum import PEC
 from pecjax.errors import DivergedError, StoppedError
-from pecjax.experiments import provenance, study_directory, study_figures, study_report, training
-from pecjax.experiments.assembly import make_agent
-from pecjax.experiments.grid import RunSpec, StudySettings
-from pecjax.experiments.plain_files import alone
-from pecjax.experiments.progress import Progress
-from pecjax.experiments.studies import SCALES, STUDIES, find_study
-from pecjax.experiments.study import _Rows, run_study
-from pecjax.experiments.study_directory import StudyDirectory
-from pecjax.experiments.study_program import make_program
+from pecjax.plotting import study as study_figures
+from pecjax.runtime import provenance
+from pecjax.storage.files import alone
+from pecjax.studies import directory as study_directory, report as study_report
+from pecjax.studies.catalogue import SCALES, STUDIES, find_study
+from pecjax.studies.directory import StudyDirectory
+from pecjax.studies.grid import RunSpec, StudySettings
+from pecjax.studies.run import _Rows, run_study
+from pecjax.training import train as training
+from pecjax.training.build import make_agent
+from pecjax.training.program import make_program
+from pecjax.training.progress import Progress
 
 SMOKE = find_study("fig4", "smoke").run
 TINY = replace(SMOKE, ppo=replace(SMOKE.ppo, num_steps=64), iterations=3, evaluation_episodes=7)
@@ -62,7 +65,7 @@ def programs_once():
         return made[run, runs]
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("pecjax.experiments.study.make_program", make_once)
+        patched.setattr("pecjax.studies.run.make_program", make_once)
         yield
 
 
@@ -296,7 +299,7 @@ def test_a_study_whose_runs_all_diverge_ends_with_one_line_and_does_not_repeat_t
     assert "\n" not in str(error.value)
     assert capsys.readouterr().err.count("; the other runs continue") == 2
     assert not StudyDirectory(tmp_path / "study").has_rows()
-    monkeypatch.setattr("pecjax.experiments.study.make_program", None)
+    monkeypatch.setattr("pecjax.studies.run.make_program", None)
     with pytest.raises(DivergedError, match=words):
         run_study(diverging, tmp_path / "study")
 
@@ -342,7 +345,7 @@ def test_a_run_that_diverges_is_left_out_and_all_others_are_made(
 
 
 def test_a_finished_study_only_gathers(study, settings, monkeypatch):
-    monkeypatch.setattr("pecjax.experiments.study.make_program", None)
+    monkeypatch.setattr("pecjax.studies.run.make_program", None)
     before = digests(study)
     (study / "results.csv").unlink()
     run_study(settings, study)
@@ -426,7 +429,7 @@ def test_a_study_that_goes_on_at_another_commit_says_so_and_keeps_both(study, se
 
 
 def test_slices_of_an_older_version_need_no_provenance(study, settings, tmp_path, monkeypatch):
-    monkeypatch.setattr("pecjax.experiments.study.make_program", None)
+    monkeypatch.setattr("pecjax.studies.run.make_program", None)
     folder = tmp_path / "study"
     shutil.copytree(study, folder)
     for path in (folder / "slices").glob("*/SHA256SUMS"):
@@ -437,7 +440,7 @@ def test_slices_of_an_older_version_need_no_provenance(study, settings, tmp_path
 
 
 def test_a_slice_with_an_empty_table_is_no_traceback(study, settings, tmp_path, monkeypatch):
-    monkeypatch.setattr("pecjax.experiments.study.make_program", None)
+    monkeypatch.setattr("pecjax.studies.run.make_program", None)
     folder = tmp_path / "study"
     shutil.copytree(study, folder)
     path = folder / "slices" / "0001" / "metrics.csv"
@@ -456,7 +459,7 @@ def test_a_study_that_begins_while_another_looks_at_the_folder_is_left_alone(set
         free(path)
         monkeypatch.setattr(study_directory.plain_files, "check_free", free)
         with monkeypatch.context() as patched:
-            patched.setattr("pecjax.experiments.study._make_slices", lambda *_: None)
+            patched.setattr("pecjax.studies.run._make_slices", lambda *_: None)
             run_study(replace(settings, seeds=(9,)), folder)
 
     monkeypatch.setattr(study_directory.plain_files, "check_free", look)
@@ -503,9 +506,7 @@ def test_a_study_knows_what_its_replays_take(monkeypatch):
     apex = find_study("fig14", "smoke").run
     scene = pecjax.load_scene()
     asked = []
-    monkeypatch.setattr(
-        "pecjax.experiments.study_program.check_memory", lambda needed, devices: asked.append(needed)
-    )
+    monkeypatch.setattr("pecjax.training.program.check_memory", lambda needed, devices: asked.append(needed))
     for runs in (1, 4):
         make_program(apex, scene, pecjax.COORDINATE_SET_1, runs)
     agent = make_agent(

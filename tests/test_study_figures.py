@@ -6,8 +6,9 @@ import pytest
 from matplotlib.figure import Figure
 from synthetic import BATCH, study_settings, write_study
 
-from pecjax.experiments import study_curves, study_ends, study_report
-from pecjax.experiments.drawing import steps_axis
+from pecjax.plotting import study_curves, study_ends
+from pecjax.plotting.style import steps_axis
+from pecjax.studies import report as study_report
 
 INF = np.inf
 

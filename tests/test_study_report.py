@@ -7,10 +7,11 @@ from matplotlib.figure import Figure
 from synthetic import made_metrics, study_settings, write_study
 
 import pecjax
-from pecjax.experiments import study_figures, study_report
-from pecjax.experiments.evaluation import EvalResult
-from pecjax.experiments.study import _Rows
-from pecjax.experiments.study_directory import StudyDirectory
+from pecjax.plotting import study as study_figures
+from pecjax.studies import report as study_report
+from pecjax.studies.directory import StudyDirectory
+from pecjax.studies.run import _Rows
+from pecjax.training.evaluation import EvalResult
 
 # 0.2 and its neighbours among doubles and floats, and α in all the ways that Python writes one.
 ALPHAS = (0.2, 0.2000001, 0.20000001, 0.20000000000000004, 0.1 + 0.2, 1e-9, 3.0, 12345678.9, 1e22)

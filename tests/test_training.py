@@ -13,14 +13,16 @@ from matplotlib.image import imread
 
 import pecjax
 from pecjax.agents.replay import ReplaySettings
-from pecjax.experiments import assembly, devices, presets, run_figures, training
-from pecjax.experiments.checkpoint import Checkpoints
-from pecjax.experiments.evaluation import goal_ratios
-from pecjax.experiments.presets import PRESETS
-from pecjax.experiments.run_directory import RunDirectory
-from pecjax.experiments.studies import find_study
-from pecjax.experiments.trained import open_run
-from pecjax.world.scene import load_scene
+from pecjax.envs.rooms.scene import load_scene
+from pecjax.plotting import run as run_figures
+from pecjax.runtime import devices
+from pecjax.studies.catalogue import find_study
+from pecjax.training import build as assembly, presets, train as training
+from pecjax.training.checkpoint import Checkpoints
+from pecjax.training.evaluation import goal_ratios
+from pecjax.training.load import open_run
+from pecjax.training.presets import PRESETS
+from pecjax.training.run_directory import RunDirectory
 
 SMOKE = find_study("fig4", "smoke").run
 TINY = replace(

@@ -16,10 +16,11 @@ import pytest
 
 import pecjax
 from pecjax.cli import main
-from pecjax.experiments import assembly, devices
-from pecjax.experiments.array_files import CorruptFileError, read_arrays, write_arrays
-from pecjax.experiments.presets import PRESETS
-from pecjax.world import load_scene
+from pecjax.envs.rooms import load_scene
+from pecjax.runtime import devices
+from pecjax.storage.arrays import CorruptFileError, read_arrays, write_arrays
+from pecjax.training import build as assembly
+from pecjax.training.presets import PRESETS
 
 BOMB = """<!DOCTYPE lolz [<!ENTITY a "lol"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">
 <!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;"><!ENTITY d "&c;&c;&c;&c;&c;&c;&c;&c;&c;&c;">]>

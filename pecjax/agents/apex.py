@@ -24,8 +24,8 @@ from pecjax.agents.replay import Frame, Replay, Rows, compress, expand
 from pecjax.agents.returns import n_step_return
 from pecjax.agents.rollout import Episodes, RolloutState, Trajectory, global_ids, init_rollout, rollout
 from pecjax.curriculum.base import Sampler
-from pecjax.world.coordinates import Configurations
-from pecjax.world.navigation import RoomsNavigation, observation
+from pecjax.envs.rooms.config import Configurations
+from pecjax.envs.rooms.navigation import RoomsNavigation, observation
 
 
 class Recent(NamedTuple):

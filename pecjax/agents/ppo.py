@@ -13,8 +13,8 @@ from pecjax.agents.networks import ActorCritic, draw_action, encode, forward
 from pecjax.agents.ppo_update import Learner, PPOSettings, make_optimizer, prepare, update
 from pecjax.agents.rollout import global_ids, init_rollout, rollout
 from pecjax.curriculum.base import Sampler
-from pecjax.world.coordinates import Configurations
-from pecjax.world.navigation import RoomsNavigation, observation
+from pecjax.envs.rooms.config import Configurations
+from pecjax.envs.rooms.navigation import RoomsNavigation, observation
 
 
 def make(

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 
 from pecjax.curriculum.base import Outcomes, Sampler
-from pecjax.world.coordinates import Configurations
-from pecjax.world.navigation import RoomsNavigation, State, flight_state
+from pecjax.envs.rooms.config import Configurations
+from pecjax.envs.rooms.navigation import RoomsNavigation, State, flight_state
 
 # (observations (B, …), chance (B,)) -> actions (B,) and whatever else the agent wants recorded;
 # chance is uniform in [0, 1), all the randomness that an action may have

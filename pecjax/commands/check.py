@@ -8,9 +8,9 @@ from pathlib import Path
 
 from pecjax.commands.drawing import draw_map
 from pecjax.commands.options import Option
-from pecjax.experiments.assembly import load_world
-from pecjax.experiments.presets import RunSettings
-from pecjax.world.notices import world_notices
+from pecjax.envs.rooms.notices import world_notices
+from pecjax.training.build import load_world
+from pecjax.training.presets import RunSettings
 
 
 @dataclass(frozen=True)

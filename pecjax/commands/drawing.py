@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 
-from pecjax.world.coordinates import Configurations
-from pecjax.world.scene import Scene
+from pecjax.envs.rooms.config import Configurations
+from pecjax.envs.rooms.scene import Scene
 
 
 def draw(folder: Path) -> list[Path]:
@@ -16,11 +16,11 @@ def draw(folder: Path) -> list[Path]:
         InputError: the folder holds neither, or nothing to draw yet.
     """
     if (folder / "study.json").is_file():
-        return importlib.import_module("pecjax.experiments.study_figures").draw_study(folder)
-    return importlib.import_module("pecjax.experiments.run_figures").draw_run(folder)
+        return importlib.import_module("pecjax.plotting.study").draw_study(folder)
+    return importlib.import_module("pecjax.plotting.run").draw_run(folder)
 
 
 def draw_map(scene: Scene, table: Configurations, stem: Path) -> list[Path]:
     """Draws a map and its configurations to `stem`.png and .svg."""
-    figure = importlib.import_module("pecjax.experiments.map_figure").rooms(scene, table)
-    return importlib.import_module("pecjax.experiments.drawing").save(figure, stem)
+    figure = importlib.import_module("pecjax.plotting.maps").rooms(scene, table)
+    return importlib.import_module("pecjax.plotting.style").save(figure, stem)

@@ -11,8 +11,8 @@ import numpy as np
 import tyro
 
 from pecjax.commands.options import Option
-from pecjax.experiments import assembly, evaluation, presets, trained
-from pecjax.experiments.run_directory import RunDirectory
+from pecjax.training import build as assembly, evaluation, load as trained, presets
+from pecjax.training.run_directory import RunDirectory
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any, get_type_hints
 
 from pecjax.commands.options import read
-from pecjax.experiments.presets import RunSettings
+from pecjax.training.presets import RunSettings
 
 # What has an option of its own in every command, or follows from one.
 _ELSEWHERE = {"preset", "algorithm", "coordinates", "scene", "seed", "iterations"}

@@ -17,12 +17,12 @@ from pecjax.commands import settings_args
 from pecjax.commands.drawing import draw
 from pecjax.commands.options import Option, Rest
 from pecjax.errors import DivergedError, InputError
-from pecjax.experiments import presets
-from pecjax.experiments.grid import StudySettings, read_grid
-from pecjax.experiments.samplers import has_alpha, make_sampler
-from pecjax.experiments.studies import find_study
-from pecjax.experiments.study import run_study
-from pecjax.experiments.study_directory import StudyDirectory
+from pecjax.studies.catalogue import find_study
+from pecjax.studies.directory import StudyDirectory
+from pecjax.studies.grid import StudySettings, read_grid
+from pecjax.studies.run import run_study
+from pecjax.training import presets
+from pecjax.training.samplers import has_alpha, make_sampler
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Study:
         self._report(folder, notice)
 
     def _report(self, folder: Path, notice: str | None) -> None:
-        report = importlib.import_module("pecjax.experiments.study_report")
+        report = importlib.import_module("pecjax.studies.report")
         print(report.write_report(folder))
         draw(folder)
         print(f"{folder}: results.csv, runs.csv, summary.csv, paired.csv and figures/")

@@ -10,8 +10,9 @@ from pecjax.commands import settings_args
 from pecjax.commands.drawing import draw
 from pecjax.commands.options import Option, Rest
 from pecjax.errors import InputError
-from pecjax.experiments import presets, processes, training
-from pecjax.experiments.run_directory import RunDirectory
+from pecjax.runtime import distributed as processes
+from pecjax.training import presets, train as training
+from pecjax.training.run_directory import RunDirectory
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Environments: the task contract, and the tasks that come with pecjax."""

@@ -1,0 +1,16 @@
+"""The world: scene, coordinates, flight, depth and the navigation task."""
+
+from pecjax.envs.rooms.config import (
+    COORDINATE_SET_1 as COORDINATE_SET_1,
+    COORDINATE_SET_2 as COORDINATE_SET_2,
+    Configurations as Configurations,
+    load_coordinates as load_coordinates,
+)
+from pecjax.envs.rooms.depth import depth_image as depth_image
+from pecjax.envs.rooms.flight import ControllerGains as ControllerGains
+from pecjax.envs.rooms.navigation import (
+    NavigationSettings as NavigationSettings,
+    RoomsNavigation as RoomsNavigation,
+)
+from pecjax.envs.rooms.scene import Scene as Scene, load_scene as load_scene
+from pecjax.envs.rooms.validity import check_coordinates as check_coordinates

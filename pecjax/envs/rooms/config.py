@@ -1,0 +1,107 @@
+"""Coordinates: the paper's two sets, and tables of configurations from files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import numpy as np
+from flax import struct
+
+from pecjax.envs.axes import axes_of, axis
+from pecjax.envs.configuration_files import line_of, read_table
+from pecjax.errors import InputError
+
+MAX_COORDINATE = 1e6  # m; what lies beyond is a typo
+
+
+@struct.dataclass
+class Configurations:
+    """A table of environment configurations, one per row of every leaf.
+
+    A further quantity that varies by episode (wind, mass, a map's number) is a further axis: files
+    of configurations have it at once.
+
+    Attributes:
+        start: (N, 2) m, where the drone begins.
+        goal: (N, 2) m, where it must go.
+    """
+
+    start: jax.Array | np.ndarray = axis(
+        "start_x start_y", unit="m", low=-MAX_COORDINATE, high=MAX_COORDINATE
+    )
+    goal: jax.Array | np.ndarray = axis("goal_x goal_y", unit="m", low=-MAX_COORDINATE, high=MAX_COORDINATE)
+
+    @property
+    def size(self) -> int:
+        """N, the number of configurations."""
+        return self.start.shape[0]
+
+    def __iter__(self) -> Iterator[jax.Array | np.ndarray]:
+        """The arrays in their order: start, goal = table."""
+        return (getattr(self, name) for name in axes_of(type(self)))
+
+
+def _there_and_back(pairs: list[tuple[tuple[float, float], tuple[float, float]]]) -> Configurations:
+    both = np.array([leg for start, goal in pairs for leg in ((start, goal), (goal, start))])
+    both = both.astype(np.float32)
+    return Configurations(start=both[:, 0], goal=both[:, 1])
+
+
+# Table 1 of Jang & Choi (2022): c0, c2, …; each odd row is the reverse of the even row before it.
+# The paper prints c15 the same as c14. Every other pair is a reversal and c15 is reported as the
+# hardest of all, so we take it for a misprint and read c15 as (3, -2) -> (3, -5).
+COORDINATE_SET_1 = _there_and_back([
+    ((0, -2), (5, -2)),
+    ((-1, 0), (-1, 4)),
+    ((-5, 0), (-5, 5)),
+    ((0, 5), (5, 5)),
+    ((3, 2), (3, 6)),
+    ((-5, -5), (-8, -8)),
+    ((-7, -8), (-1, -8)),
+    ((3, -5), (3, -2)),
+    ((0, -2), (-5, -2)),
+    ((-8, -2), (6, -2)),
+])  # fmt: skip
+
+# Table 2 of Jang & Choi (2022), the hard set: no pair sees its goal from its start.
+COORDINATE_SET_2 = _there_and_back([
+    ((-7, -8), (-1, -8)),
+    ((-8, -2), (6, -2)),
+    ((-1, 3), (0, -5)),
+    ((0, 5), (5, -2)),
+    ((-1, -2), (5, 5)),
+    ((0, -1), (-5, 5)),
+    ((-6, -6), (-1, -8)),
+    ((5, -7), (2, -1)),
+    ((6, -1), (3, -6)),
+    ((-7, -6), (-1, -8)),
+    ((-5, 5), (0, -2)),
+    ((-7, 0), (5, 0)),
+])  # fmt: skip
+
+_SETS = {"1": COORDINATE_SET_1, "2": COORDINATE_SET_2}
+
+
+def load_coordinates(name: str | Path) -> Configurations:
+    """Reads a set of coordinates: `1` or `2` for the paper's, else the path of a text file.
+
+    `configuration_files.read_table` says what a file may look like. Without a header a line is start
+    x, start y, goal x, goal y in metres.
+
+    Raises:
+        InputError: no such set or file, or one that is no table of configurations.
+    """
+    if str(name) in _SETS:
+        return _SETS[str(name)]
+    if not Path(name).is_file():
+        raise InputError(f"coordinates '{name}': neither 1 nor 2 nor a file; give one of these")
+    return read_table(Path(name), Configurations)
+
+
+def row_name(source: str | Path | None, row: int) -> str:
+    """What messages call a row of a table that was read from `source`, None for no file."""
+    if source is None or str(source) in _SETS:
+        return f"configuration {row}"
+    return f"{source}, line {line_of(Path(source), Configurations, row)}: configuration {row}"

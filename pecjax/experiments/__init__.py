@@ -1,1 +1,0 @@
-"""Experiments: what a person runs."""

@@ -1,0 +1,1 @@
+"""Plotting: the figures of runs and studies."""

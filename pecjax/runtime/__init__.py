@@ -1,0 +1,1 @@
+"""Runtime: devices, processes, signals and where a figure came from."""

@@ -1,0 +1,1 @@
+"""Storage: plain files and arrays on disk."""

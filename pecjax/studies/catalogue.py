@@ -1,0 +1,89 @@
+"""Studies: the paper's experiments as grids, by name and scale."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from pecjax.agents.networks import NetworkSettings
+from pecjax.agents.q_network import QNetworkSettings
+from pecjax.errors import InputError
+from pecjax.studies.grid import StudySettings
+from pecjax.training.presets import PRESETS, RunSettings
+
+SCALES = ("smoke", "laptop", "paper")
+
+_ALPHAS = (0.0, 0.1, 0.2, 0.3, 0.4)
+_FAST = dataclasses.replace(PRESETS["fast"], evaluate_every=15)
+_APEX = dataclasses.replace(PRESETS["apex-fast"], evaluate_every=10)
+_SMOKE = dataclasses.replace(
+    PRESETS["fast"],
+    ppo=dataclasses.replace(
+        PRESETS["fast"].ppo, num_envs=8, num_steps=32, num_minibatches=2, network=NetworkSettings(hidden=(8,))
+    ),
+    iterations=4,
+    evaluate_every=2,
+    evaluation_episodes=40,
+)
+_APEX_SMOKE = dataclasses.replace(
+    PRESETS["apex-fast"],
+    apex=dataclasses.replace(
+        PRESETS["apex-fast"].apex,
+        num_envs=8,
+        num_steps=32,
+        learning_starts=64,
+        batch_size=32,
+        network=QNetworkSettings(trunk=(8,), head=8),
+        replay=dataclasses.replace(PRESETS["apex-fast"].apex.replay, capacity=1024),
+    ),
+    iterations=4,
+    evaluate_every=2,
+    evaluation_episodes=40,
+)
+
+
+def _study(name: str, run: RunSettings, iterations: int | None, seeds: int, **grid: Any) -> StudySettings:
+    run = dataclasses.replace(run, iterations=iterations or run.iterations)
+    return StudySettings(name, run, seeds=tuple(range(seeds)), **grid)
+
+
+# Jang & Choi (2022): Fig. 4-7, §5.2; Fig. 8-10, §5.3; Fig. 11-12, §5.4; Fig. 13-14, §5.5.
+STUDIES: dict[str, dict[str, StudySettings]] = {
+    "fig4": {
+        "smoke": _study("fig4", _SMOKE, None, 2),
+        "laptop": _study("fig4", _FAST, 300, 10),
+        "paper": _study("fig4", PRESETS["rllib085"], 1500, 3),
+    },
+    "fig8": {
+        "smoke": _study("fig8", _SMOKE, None, 2, coordinates=("2",)),
+        "laptop": _study("fig8", _FAST, 450, 10, coordinates=("2",)),
+        "paper": _study("fig8", PRESETS["rllib085"], 5000, 3, coordinates=("2",)),
+    },
+    "fig11": {
+        "smoke": _study("fig11", _SMOKE, None, 2, samplers=("pec",), alphas=_ALPHAS),
+        "laptop": _study("fig11", _FAST, 300, 5, samplers=("pec",), alphas=_ALPHAS),
+        "paper": _study("fig11", PRESETS["rllib085"], 1500, 3, samplers=("pec",), alphas=_ALPHAS),
+    },
+    "fig14": {
+        "smoke": _study("fig14", _APEX_SMOKE, None, 2),
+        "laptop": _study("fig14", _APEX, 350, 5),
+        "paper": _study("fig14", PRESETS["apex-rllib085"], 2000, 3),
+    },
+}
+
+
+def find_study(name: str, scale: str = "laptop") -> StudySettings:
+    """The study of that name.
+
+    Args:
+        scale: `smoke` (seconds, to try it), `laptop` (two cores, our own presets) or `paper` (its
+            iteration counts and RLlib's settings).
+
+    Raises:
+        InputError: there is no such study or scale.
+    """
+    if name not in STUDIES:
+        raise InputError(f"unknown study '{name}'; choose one of {', '.join(STUDIES)}, or name none")
+    if scale not in SCALES:
+        raise InputError(f"unknown scale '{scale}'; choose one of {', '.join(SCALES)}")
+    return STUDIES[name][scale]

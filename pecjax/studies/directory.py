@@ -1,0 +1,206 @@
+"""Study directories: finished slices, each whole or absent, and the tables gathered from them."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from pecjax import settings_tree
+from pecjax.errors import InputError
+from pecjax.training import former_versions
+from pecjax.storage import files
+from pecjax.studies.grid import StudySettings
+from pecjax.runtime.provenance import environment_facts, short_commit
+from pecjax.envs.rooms.mjcf_file import read_mjcf
+from pecjax.envs.configuration_files import table_text
+from pecjax.envs.rooms.config import Configurations, load_coordinates
+from pecjax.envs.rooms.scene import Scene
+
+World = tuple[Path, Scene, Configurations]  # of one set of coordinates
+Tables = dict[str, list[files.Row]]  # rows by the name of their table
+_SUMS = "SHA256SUMS"
+_PROVENANCE = "provenance.json"  # of a slice; no times in it: the same code writes the same bytes
+_DIVERGED = "diverged.txt"  # of a slice, where some of its runs are not in its tables
+
+
+class StudyDirectory:
+    """One study's folder: `study.json`, the world it flies in, `slices/`, and the tables.
+
+    The tables are `results.csv` (a row an evaluation), `metrics.csv` (a row an iteration) and
+    `configurations.csv` (trials and failures of each configuration so far, at every evaluation).
+    """
+
+    TABLES = ("results", "metrics", "configurations")
+
+    def __init__(self, folder: Path) -> None:
+        """Names the folder; nothing is read or written yet."""
+        self.folder = folder
+        self.scene_path = folder / "scene.xml"
+        self._slices = folder / "slices"
+        self._begun = folder / ".study.json.new"
+        self._facts: dict[str, Any] = {}
+
+    def settings(self) -> StudySettings:
+        """Reads the settings back.
+
+        Raises:
+            InputError: the folder holds no study, or one that this version cannot read.
+        """
+        path = self.folder / "study.json"
+        return files.read_settings(path, StudySettings, "study", former_versions.study_settings)
+
+    def table(self, coordinates: str) -> Configurations:
+        """Reads the configurations of one of the study's sets back."""
+        return load_coordinates(self._coordinates_path(coordinates))
+
+    def _coordinates_path(self, coordinates: str) -> Path:
+        return self.folder / f"coordinates-{Path(coordinates).stem}.csv"
+
+    @contextlib.contextmanager
+    def open(self, settings: StudySettings, worlds: dict[str, World], num_devices: int) -> Iterator[None]:
+        """Begins a study, or makes sure that the folder holds this very one; locks it while entered.
+
+        Raises:
+            InputError: the folder holds something else (another study, or this one begun with other
+                settings, another map or other versions), another process writes into it, or it
+                cannot be written.
+        """
+        self._facts = environment_facts(num_devices)
+        content = {"settings": settings_tree.to_json(settings)} | self._facts
+        texts = {"scene.xml": read_mjcf(next(iter(worlds.values()))[0]).text}
+        for coordinates, (_, _, table) in worlds.items():
+            texts[self._coordinates_path(coordinates).name] = table_text(table)
+        self._check_free()  # before the folder is made, which the lock needs
+        with files.writing(self.folder, "choose another --out"):
+            self.folder.mkdir(parents=True, exist_ok=True)
+        with files.alone(self.folder):
+            self._check_free()  # another study may have begun here meanwhile
+            if (self.folder / "study.json").is_file():
+                self._compare(json.loads(files.json_text(content)), texts)
+            else:
+                self._create(content, texts)
+            yield
+
+    def _check_free(self) -> None:
+        if not (self.folder / "study.json").is_file() and not self._begun.exists():
+            files.check_free(self.folder)
+
+    def _create(self, content: dict[str, Any], texts: dict[str, str]) -> None:
+        with files.writing(self.folder, "choose another --out"):
+            # Begins as another file: a study that is killed meanwhile knows its folder again.
+            self._begun.write_text(files.json_text(content))
+            self._slices.mkdir(exist_ok=True)
+            for name, text in texts.items():
+                (self.folder / name).write_text(text)
+            os.replace(self._begun, self.folder / "study.json")
+
+    def _compare(self, content: dict[str, Any], texts: dict[str, str]) -> None:
+        self.settings()
+        held = json.loads((self.folder / "study.json").read_text())
+        held["settings"] = former_versions.study_settings(held.get("settings"))
+        differing = [
+            difference
+            for part in ("settings", "versions")
+            for difference in settings_tree.differences(held.get(part), content[part])
+        ]
+        for name, text in texts.items():
+            path = self.folder / name
+            if not path.is_file() or path.read_text() != text:
+                differing.append(f"the content of {name}")
+        if differing:
+            raise InputError(
+                f"{self.folder}: holds a study that differs in {', '.join(differing)}; "
+                "give another folder with --out"
+            )
+
+    def verify(self, number: int) -> Iterator[str]:
+        """Removes slices that are not what was written; yields lines that say what was found.
+
+        Args:
+            number: of slices that the study is made of.
+        """
+        self._slices.mkdir(exist_ok=True)
+        for left_over in self._slices.glob(".[0-9]*"):  # written when the study was stopped
+            shutil.rmtree(left_over)
+        for path in self._held(number):
+            if not _is_whole(path):
+                shutil.rmtree(path)
+                yield f"{path}: not as it was written; made again"
+        there = len(self._held(number))
+        yield f"{self.folder}: {there} of {number} slices are there"
+        begun = json.loads((self.folder / "study.json").read_text()).get("git_commit")
+        now = self._facts["git_commit"]
+        if there and begun and now and begun != now:
+            yield (
+                f"{self.folder}: begun at commit {short_commit(str(begun))} and goes on at "
+                f"{short_commit(now)}; what is there stays"
+            )
+
+    def holds(self, number: int) -> bool:
+        """Whether that slice is finished."""
+        return self._slice_path(number).is_dir()
+
+    def _slice_path(self, number: int) -> Path:
+        return self._slices / f"{number:04}"
+
+    def write_slice(self, number: int, tables: Tables, diverged: Sequence[str] = ()) -> None:
+        """Writes a finished slice, whole or not at all, and what it was made by.
+
+        Args:
+            tables: of the runs that came to their end.
+            diverged: the others, in words.
+        """
+        new = self._slices / f".{number:04}"
+        new.mkdir()
+        texts = {f"{name}.csv": files.csv_text(tables[name]) for name in self.TABLES}
+        texts[_PROVENANCE] = files.json_text(self._facts)
+        if diverged:
+            texts[_DIVERGED] = "".join(f"{line}\n" for line in diverged)
+        for name, text in texts.items():
+            (new / name).write_text(text)
+        sums = [f"{hashlib.sha256(text.encode()).hexdigest()}  {name}\n" for name, text in texts.items()]
+        (new / _SUMS).write_text("".join(sums))
+        os.replace(new, self._slice_path(number))
+
+    def diverged(self, number: int) -> list[str]:
+        """The runs of so many slices that diverged, in words, and how to try them again."""
+        return [
+            f"{line} (remove {path.parent} to try again)"
+            for path in (slice_ / _DIVERGED for slice_ in self._held(number))
+            if path.is_file()
+            for line in path.read_text().splitlines()
+        ]
+
+    def has_rows(self) -> bool:
+        """Whether a run has finished: whether the tables say anything."""
+        return bool((self.folder / "results.csv").read_text().strip())
+
+    def _held(self, number: int) -> list[Path]:
+        return [self._slice_path(n) for n in range(number) if self.holds(n)]
+
+    def gather(self, number: int) -> None:
+        """Writes the tables anew from those of so many slices that are there, in their order."""
+        for name in self.TABLES:
+            texts = [(path / f"{name}.csv").read_text().partition("\n") for path in self._held(number)]
+            # Coordinate sets of several sizes have as many columns: the longest header serves all.
+            header = max((head for head, _, _ in texts), key=len, default="")
+            rows = "".join(rows for _, _, rows in texts)
+            files.replace_file(self.folder / f"{name}.csv", f"{header}\n{rows}")
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a slice's files are those that its checksums were taken of."""
+    try:
+        lines = (path / _SUMS).read_text().splitlines()
+        sums = {name: digest for digest, name in (line.split("  ") for line in lines)}
+        found = {name: hashlib.sha256((path / name).read_bytes()).hexdigest() for name in sums}
+    except (OSError, ValueError):
+        return False
+    tables = {f"{name}.csv" for name in StudyDirectory.TABLES}
+    return found == sums and tables <= set(sums) <= tables | {_PROVENANCE, _DIVERGED}

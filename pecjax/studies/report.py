@@ -1,0 +1,233 @@
+"""The report of a study: its measures by condition, and the paired differences between conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from pecjax.errors import InputError
+from pecjax.storage import files
+from pecjax.storage.tables import read_table
+from pecjax.studies.statistics import (
+    Interval,
+    area_under_curve,
+    interval,
+    paired_difference,
+    sign_flip_p,
+    steps_to_exit,
+    steps_until,
+    trial_and_failure_ratios,
+)
+from pecjax.training.samplers import label
+from pecjax.studies.directory import StudyDirectory
+
+THRESHOLDS = (0.9, 0.95)
+BASELINE = "uniform"  # what others are paired with; the study's first condition where it is not there
+RATIOS = ("goal_ratio", "cvar", "area_under_curve", "cvar_area_under_curve")
+# Of what the sampler drew in training: beside the paper's figures, not to compare samplers by.
+TRAINING = ("training_goal_ratio", "failure_ratio", "least_trial_ratio", "greatest_trial_ratio")
+LAST_ITERATIONS = 100  # that the paper takes the mean training goal ratio of
+STEPS = tuple(f"{what}_{at:g}" for at in THRESHOLDS for what in ("steps_until", "exit_at"))
+_COLUMNS = {
+    "results": {"seed", "iteration", "env_steps", "goal_ratio", "cvar", "mean_return"},
+    "metrics": {"seed", "iteration", "env_steps"},
+    "configurations": {"seed", "iteration", "config", "trials", "failures"},
+}
+
+
+class StudyTables(NamedTuple):
+    """A study's tables, each with a column `condition`: the sampler and all digits of what it varies."""
+
+    results: pd.DataFrame
+    metrics: pd.DataFrame
+    configurations: pd.DataFrame
+
+
+def read_study(folder: Path) -> StudyTables:
+    """Reads the tables that a study has gathered so far.
+
+    Raises:
+        InputError: there are none, or two runs in them cannot be told apart.
+    """
+    alphas = StudyDirectory(folder).settings().alphas
+    in_full = {float(f"{alpha:.7g}"): alpha for alpha in alphas}  # older versions wrote 7 digits
+    in_full |= {alpha: alpha for alpha in alphas}
+    found = {name: read_table(folder / f"{name}.csv", columns) for name, columns in _COLUMNS.items()}
+    for name, table in found.items():
+        table["alpha"] = [in_full.get(alpha, alpha) for alpha in table.alpha]
+        varied = ["alpha", *varied_columns(table)]
+        table["condition"] = [
+            _condition(sampler, zip(varied, values, strict=True))
+            for sampler, *values in table[["sampler", *varied]].itertuples(index=False)
+        ]
+        keys = ["coordinates", "condition", "seed", "iteration", *_COLUMNS[name] & {"config"}]
+        twice = table.loc[table.duplicated(keys)]
+        if len(twice):
+            row = twice.iloc[0]
+            raise InputError(
+                f"{folder / f'{name}.csv'}: coordinates {row.coordinates}, {row.condition}, seed {row.seed} "
+                "is there twice; where two α share their first 7 digits, as older versions wrote them, "
+                "train the study again in another folder"
+            )
+    return StudyTables(**found)
+
+
+def varied_columns(table: pd.DataFrame) -> list[str]:
+    """The columns of settings that a study varies by their dotted paths."""
+    return [
+        name for name in table.columns if name.partition(".")[0] in ("sampler", "ppo", "apex") and "." in name
+    ]
+
+
+def _condition(sampler: str, values: Iterable[tuple[str, Any]]) -> str:
+    return ", ".join(label(sampler, [(path, value) for path, value in values if pd.notna(value)]))
+
+
+def by_run(tables: StudyTables) -> pd.DataFrame:
+    """One row a run: how it ended, and how soon it came to the thresholds.
+
+    Columns: `goal_ratio` and `cvar` of the last evaluation, the `area_under_curve` of both,
+    `steps_until_0.9` (environment steps at the first of five evaluations in a row that hold it) and
+    `exit_at_0.9` (at the fifth iteration in a row whose training goal ratio holds it: the paper's
+    exit condition); inf where it was not reached. Of training: `training_goal_ratio`, the mean of the
+    last 100 iterations; `failure_ratio`, the mean over the configurations, `least_trial_ratio` and
+    `greatest_trial_ratio`, all since the run began.
+    """
+    keys = ["coordinates", "condition", "seed"]
+    last = tables.configurations.iteration.max()
+    counts = tables.configurations.loc[tables.configurations.iteration == last]
+    draws = trial_and_failure_ratios(counts, keys).groupby(keys, sort=False)
+    trainings = tables.metrics.groupby(keys, sort=False)
+    rows = []
+    for key, run in tables.results.groupby(keys, sort=False):
+        training, drawn = trainings.get_group(key), draws.get_group(key)
+        steps, ratios = run.env_steps.to_numpy(), run.goal_ratio.to_numpy()
+        row = run[[*keys, "sampler", "alpha", *varied_columns(run)]].iloc[0].to_dict() | {
+            "goal_ratio": ratios[-1],
+            "cvar": run.cvar.iloc[-1],
+            "area_under_curve": area_under_curve(steps, ratios),
+            "cvar_area_under_curve": area_under_curve(steps, run.cvar.to_numpy()),
+        }
+        for at in THRESHOLDS:
+            row[f"steps_until_{at:g}"] = steps_until(steps, ratios, at)
+            row[f"exit_at_{at:g}"] = steps_to_exit(
+                training.env_steps.to_numpy(), training.goal_ratio.to_numpy(), at
+            )
+        row |= {
+            "training_goal_ratio": training.goal_ratio.tail(LAST_ITERATIONS).mean(),
+            "failure_ratio": drawn.failure.mean(),
+            "least_trial_ratio": drawn.trial.min(),
+            "greatest_trial_ratio": drawn.trial.max(),
+        }
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def summary(runs: pd.DataFrame) -> Iterator[files.Row]:
+    """One row a condition: interquartile means with intervals, medians and ranges of steps."""
+    keys = ["coordinates", "condition"]
+    for _, rows in runs.groupby(keys, sort=False):
+        row = rows[keys].iloc[0].to_dict() | {"seeds": len(rows)}
+        for name in RATIOS:
+            row |= _columns(name, interval(rows[name].to_numpy()))
+        for name in STEPS:
+            row[f"{name}_reached"] = int(np.isfinite(rows[name]).sum())
+            spread = rows[name].agg(["median", "min", "max"])
+            row |= {f"{name}_{which}": figure for which, figure in spread.items()}
+        for name in TRAINING:
+            row |= _columns(name, interval(rows[name].to_numpy()))
+        yield row
+
+
+def paired(runs: pd.DataFrame) -> Iterator[files.Row]:
+    """One row a condition and measure: differences from the baseline, seed by seed.
+
+    Where settings of the learner vary too, the baseline has the same ones.
+    """
+    for coordinates, rows in _comparable(runs):
+        table = rows.pivot(index="seed", columns="condition", values=[*RATIOS, *STEPS])
+        there = list(dict.fromkeys(rows.condition))
+        baseline = next((c for c in there if c.partition(",")[0] == BASELINE), there[0])
+        for condition in there:
+            if condition == baseline:
+                continue
+            for name in (*RATIOS, *STEPS):
+                pairs = table[name][[condition, baseline]].dropna()
+                ours, theirs = pairs[condition].to_numpy(float), pairs[baseline].to_numpy(float)
+                better = ours > theirs if name in RATIOS else ours < theirs
+                equal = ours == theirs
+                both = np.isfinite(ours) & np.isfinite(theirs)
+                head = {"coordinates": coordinates, "condition": condition, "baseline": baseline}
+                counts = {
+                    "better": int(better.sum()),
+                    "equal": int(equal.sum()),
+                    "worse": int((~better & ~equal).sum()),
+                    "pairs": int(both.sum()),
+                }
+                found, p = Interval(*[float("nan")] * 3), float("nan")
+                if both.any():
+                    found = paired_difference(ours[both], theirs[both])
+                    p = sign_flip_p(ours[both] - theirs[both])
+                yield head | {"measure": name} | counts | _columns("difference", found) | {"p": p}
+
+
+def _comparable(runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+    """The runs by coordinates, and by the learner's settings where more than one sampler has each."""
+    shared = [name for name in varied_columns(runs) if not name.startswith("sampler.")]
+    for coordinates, rows in runs.groupby("coordinates", sort=False):
+        blocks = [block for _, block in rows.groupby(shared, sort=False)] if shared else [rows]
+        alone = all(block.condition.nunique() == 1 for block in blocks)
+        for block in [rows] if alone else blocks:
+            yield str(coordinates), block
+
+
+def _columns(name: str, found: Interval) -> dict[str, float]:
+    return {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
+
+
+def write_report(folder: Path) -> str:
+    """Writes `runs.csv`, `summary.csv` and `paired.csv`; returns them in words.
+
+    Raises:
+        InputError: the study has gathered no tables, or its folder cannot be written.
+    """
+    runs = by_run(read_study(folder))
+    summaries, differences = list(summary(runs)), list(paired(runs))
+    exact = [None if np.isnan(alpha) else files.exact_text(alpha) for alpha in runs.alpha]
+    written = {
+        "runs": runs.assign(alpha=exact).to_dict("records"),
+        "summary": summaries,
+        "paired": differences,
+    }
+    with files.writing(folder, "the same command goes on once it can"):
+        for name, rows in written.items():
+            files.replace_file(folder / f"{name}.csv", files.csv_text(rows))
+    lines = [
+        f"set {Path(row['coordinates']).stem}, {row['condition']}, {row['seeds']} seeds: goal ratio "
+        f"{row['goal_ratio']:.3f} [{row['goal_ratio_low']:.3f}, {row['goal_ratio_high']:.3f}], worst tenth "
+        f"{row['cvar']:.3f} [{row['cvar_low']:.3f}, {row['cvar_high']:.3f}]; 0.9 held from "
+        f"{_millions(row['steps_until_0.9_median'])}, 0.95 from {_millions(row['steps_until_0.95_median'])}"
+        for row in summaries
+    ]
+    by_measure = {(row["coordinates"], row["condition"], row["measure"]): row for row in differences}
+    for coordinates, condition in dict.fromkeys(key[:2] for key in by_measure):
+        ratio, steps = (
+            by_measure[coordinates, condition, name]
+            for name in ("goal_ratio", f"steps_until_{THRESHOLDS[-1]:g}")
+        )
+        interval_of_ratio = f"[{ratio['difference_low']:+.3f}, {ratio['difference_high']:+.3f}]"
+        lines.append(
+            f"set {Path(coordinates).stem}, {condition} - {ratio['baseline']}, {ratio['pairs']} pairs: "
+            f"goal ratio {ratio['difference']:+.3f} {interval_of_ratio}, p {ratio['p']:.2g}; "
+            f"{THRESHOLDS[-1]:g} held sooner in {steps['better']}, alike in {steps['equal']}, "
+            f"later in {steps['worse']}"
+        )
+    return "\n".join(lines)
+
+
+def _millions(steps: float) -> str:
+    return f"{steps / 1e6:.2f} M steps" if np.isfinite(steps) else "never"

@@ -1,0 +1,133 @@
+"""Checkpoints: what a run can go on from, and the policies it can be asked for, by iteration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pecjax.agents.agent import TrainState
+from pecjax.errors import InputError
+from pecjax.runtime.distributed import primary_only
+from pecjax.storage.arrays import CorruptFileError, read_arrays, write_arrays
+from pecjax.training import former_versions
+
+KEPT_STATES = 2  # the newest, and one to fall back on
+
+
+class ResumeState(NamedTuple):
+    """Where a training stands: all that it needs to go on as if it had never stopped.
+
+    Attributes:
+        state: of world, curriculum and learner.
+        iteration: how many are done.
+        counts: (2, N) int64, trials and failures since the beginning.
+        held: iterations in a row that have held the goal ratio to stop at.
+        seconds: spent so far, compilation apart.
+    """
+
+    state: TrainState
+    iteration: np.ndarray
+    counts: np.ndarray
+    held: np.ndarray
+    seconds: np.ndarray
+
+    @classmethod
+    def make(
+        cls, state: TrainState, iteration: int, counts: np.ndarray, held: int, seconds: float
+    ) -> ResumeState:
+        """A position, its numbers as arrays."""
+        return cls(state, np.array(iteration), counts, np.array(held), np.array(seconds))
+
+
+class Checkpoints:
+    """The checkpoints of one run folder.
+
+    Every evaluated learner is kept, in `checkpoints`, so that policies can be had and compared; of
+    whole positions, which may be large, only the newest, in `states`.
+    """
+
+    def __init__(self, folder: Path, about: dict[str, Any] | None = None) -> None:
+        """Names the folders, which are made with the first checkpoint.
+
+        Args:
+            about: what a position must belong to for a training to go on from it.
+        """
+        self._about = about
+        self._learners = folder / "checkpoints"
+        self._states = folder / "states"
+
+    def save_learner(self, iteration: int, learner: Any) -> None:
+        """Keeps the learner after `iteration` iterations."""
+        write_arrays(_path(self._learners, iteration), learner)
+
+    def save_position(self, here: ResumeState) -> None:
+        """Keeps where a training stands, and forgets what is older than the one before."""
+        write_arrays(_path(self._states, int(here.iteration)), here, self._about)
+        self._prune()
+
+    @primary_only
+    def _prune(self) -> None:
+        for iteration in _iterations(self._states)[:-KEPT_STATES]:
+            _path(self._states, iteration).unlink()
+
+    @primary_only
+    def forget_after(self, iteration: int, every: int) -> None:
+        """Removes learners that a run of which `iteration` iterations are done would not have."""
+        for there in _iterations(self._learners):
+            if there > iteration or there % every:
+                _path(self._learners, there).unlink()
+        for there in _iterations(self._states):
+            if there > iteration:
+                _path(self._states, there).unlink()
+
+    def iterations(self) -> list[int]:
+        """The iterations at which a learner was kept, rising."""
+        return _iterations(self._learners)
+
+    def load_learner(self, like: Any, iteration: int | None = None) -> tuple[int, Any]:
+        """A kept learner, the newest when `iteration` is None.
+
+        Args:
+            like: a learner of the same structure, of arrays or their shapes.
+
+        Raises:
+            InputError: there is no such checkpoint, or it is broken.
+        """
+        there = self.iterations()
+        if not there:
+            raise InputError(f"{self._learners}: no checkpoint; train first")
+        if iteration is not None and iteration not in there:
+            listed = ", ".join(map(str, there))
+            raise InputError(f"{self._learners}: no checkpoint {iteration}; there are {listed}")
+        iteration = there[-1] if iteration is None else iteration
+        try:
+            return iteration, read_arrays(_path(self._learners, iteration), like)
+        except CorruptFileError as error:
+            raise InputError(f"{error}; choose another with --checkpoint") from error
+
+    def load_position(self, like: ResumeState) -> tuple[ResumeState, list[str]]:
+        """The newest whole position, and what was said of broken ones on the way to it.
+
+        Raises:
+            InputError: there is none, or it is of other settings.
+        """
+        said = []
+        for iteration in reversed(_iterations(self._states)):
+            try:
+                path = _path(self._states, iteration)
+                former = former_versions.about, former_versions.array_name
+                return read_arrays(path, like, self._about, *former), said
+            except CorruptFileError as error:
+                said.append(f"{error}; falling back to the one before")
+        reason = "; ".join(said) or "no state to go on from"
+        raise InputError(f"{self._states}: {reason}; train anew in another folder")
+
+
+def _path(folder: Path, iteration: int) -> Path:
+    return folder / f"{iteration}.npz"
+
+
+def _iterations(folder: Path) -> list[int]:
+    return sorted(int(path.stem) for path in folder.glob("*.npz") if path.stem.isdigit())

@@ -1,0 +1,182 @@
+"""Run directories: the plain files that a run leaves behind, and how to read them again."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from pecjax import settings_tree
+from pecjax.envs.configuration_files import table_text
+from pecjax.envs.rooms.config import Configurations, load_coordinates
+from pecjax.envs.rooms.mjcf_file import read_mjcf
+from pecjax.errors import InputError
+from pecjax.runtime.distributed import primary_only
+from pecjax.runtime.provenance import FACTS, session_facts
+from pecjax.storage import files
+from pecjax.training import former_versions
+from pecjax.training.presets import RunSettings
+
+HOW_LONG = ("iterations", "until_goal_ratio", "patience")  # settings that no iteration depends on
+
+
+class RunDirectory:
+    """One run's folder. Tables grow row by row and are on disk after each.
+
+    Where several processes share a training, the lead writes and all read.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Names the folder; nothing is read or written yet."""
+        self.folder = folder
+        self.scene_path = folder / "scene.xml"
+
+    @primary_only
+    def create(
+        self, settings: RunSettings, scene_path: Path, table: Configurations, num_devices: int
+    ) -> None:
+        """Writes what the run depends on: settings, map and coordinates.
+
+        Raises:
+            InputError: another run or study has begun in the folder, or it cannot be written.
+        """
+        scene = read_mjcf(scene_path).text
+        with files.writing(self.folder, "choose another --out"):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with files.alone(self.folder):  # whoever else begins here at this moment is refused
+                files.check_free(self.folder)
+                (self.folder / "figures").mkdir()
+                self.scene_path.write_text(scene)
+                (self.folder / "coordinates.csv").write_text(table_text(table))
+                self.record(settings, num_devices)
+
+    def settings(self) -> RunSettings:
+        """Reads the settings back.
+
+        Raises:
+            InputError: the folder holds no run, or one that this version cannot read.
+        """
+        path = self.folder / "config.json"
+        return files.read_settings(path, RunSettings, "run", former_versions.run_settings)
+
+    def table(self) -> Configurations:
+        """Reads the configurations back."""
+        return load_coordinates(self.folder / "coordinates.csv")
+
+    @primary_only
+    def append(self, name: str, rows: Iterable[files.Row]) -> None:
+        """Adds rows to a table, with a header when it is new."""
+        path = self.folder / name
+        text = files.csv_text(rows, header=not path.exists())
+        with path.open("a", newline="") as file:
+            file.write(text)
+
+    def column(self, name: str, column: str, keep: Callable[[int], bool]) -> list[float]:
+        """One column of a table, of the iterations that are wanted; NaN where a figure is missing.
+
+        Raises:
+            InputError: the table has no such column, or something else than numbers in it.
+        """
+        header, rows = self._read(name)
+        if not rows:
+            return []
+        place = _place(self.folder / name, header, column)
+        try:
+            return [float(row[place] or "nan") for iteration, row in rows if keep(iteration)]
+        except ValueError as error:
+            raise InputError(f"{self.folder / name}: column {column} is damaged ({error})") from error
+
+    @primary_only
+    def roll_back(self, name: str, keep: Callable[[int], bool]) -> None:
+        """Keeps only the whole rows of those iterations that are wanted.
+
+        Raises:
+            InputError: the table has no column of iterations.
+        """
+        header, rows = self._read(name)
+        if header:
+            kept = [",".join(row) + "\n" for iteration, row in rows if keep(iteration)]
+            files.replace_file(self.folder / name, ",".join(header) + "\n" + "".join(kept))
+        else:
+            self.remove(name)
+
+    def _read(self, name: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
+        """A table's header and its whole rows by iteration; none where it lacks a whole first line."""
+        path = self.folder / name
+        text = path.read_text(errors="replace") if path.is_file() else ""
+        whole = [line.split(",") for line in text.split("\n")[:-1]]
+        if not whole or whole[0] == [""]:
+            return [], []
+        header, *rows = whole
+        place = _place(path, header, "iteration")
+        return header, [(int(r[place]), r) for r in rows if len(r) == len(header) and r[place].isdecimal()]
+
+    @primary_only
+    def remove(self, *names: str) -> None:
+        """Removes files that the end of a run has written."""
+        for name in names:
+            (self.folder / name).unlink(missing_ok=True)
+
+    @primary_only
+    def write_json(self, name: str, content: dict[str, Any]) -> None:
+        """Writes one JSON object."""
+        files.replace_file(self.folder / name, files.json_text(content))
+
+    @primary_only
+    def record(self, settings: RunSettings, num_devices: int, from_iteration: int = 0) -> None:
+        """Writes config.json: the settings, the facts when the run began, and one more session."""
+        session = session_facts(num_devices, from_iteration)
+        facts = {name: session[name] for name in FACTS}
+        sessions = []
+        if from_iteration:
+            before = self._config()
+            facts = {name: before.get(name) for name in FACTS}
+            sessions = _sessions(before)
+        config = {"settings": settings_tree.to_json(settings)} | facts | {"sessions": [*sessions, session]}
+        self.write_json("config.json", config)
+
+    def num_devices(self) -> int | None:
+        """How many devices the run was last trained on, where its config.json says so."""
+        try:
+            return int(_sessions(self._config())[-1]["devices"]["used"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    def _config(self) -> dict[str, Any]:
+        return json.loads((self.folder / "config.json").read_text())
+
+    def differences(self, settings: RunSettings) -> list[str]:
+        """What a run that goes on with these settings would do otherwise than before."""
+        return list(settings_tree.differences(_what_matters(self.settings()), _what_matters(settings)))
+
+    def identity(self) -> dict[str, Any]:
+        """All that an iteration depends on: settings, map, coordinates and version."""
+        return {
+            "settings": _what_matters(self.settings()),
+            "scene.xml": hashlib.sha256(self.scene_path.read_bytes()).hexdigest(),
+            "coordinates.csv": hashlib.sha256((self.folder / "coordinates.csv").read_bytes()).hexdigest(),
+            "version": importlib.metadata.version("pecjax"),
+        }
+
+
+def _sessions(config: dict[str, Any]) -> list[dict[str, Any]]:
+    """The sessions that a config.json lists; older ones only have the facts of the last."""
+    sessions = config.get("sessions")
+    if isinstance(sessions, list) and sessions:
+        return sessions
+    return [{"from_iteration": 0, "started": None} | {name: config.get(name) for name in FACTS}]
+
+
+def _place(path: Path, header: list[str], column: str) -> int:
+    if column not in header:
+        raise InputError(f"{path}: has no column {column}; restore the file or train anew in another folder")
+    return header.index(column)
+
+
+def _what_matters(settings: RunSettings) -> dict[str, Any]:
+    """Settings that iterations depend on."""
+    content = settings_tree.to_json(settings)
+    return {name: value for name, value in content.items() if name not in HOW_LONG}
