@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         Configurations as Configurations,
         ControllerGains as ControllerGains,
         NavigationSettings as NavigationSettings,
+        Rooms as Rooms,
         RoomsNavigation as RoomsNavigation,
         Scene as Scene,
         check_coordinates as check_coordinates,
@@ -22,34 +23,55 @@ if TYPE_CHECKING:
         load_coordinates as load_coordinates,
         load_scene as load_scene,
     )
+    from pecjax.envs.task import Task as Task, TaskSettings as TaskSettings
+    from pecjax.settings_tree import set_path as set_path
+    from pecjax.training.load import open_run as open_run
+    from pecjax.training.presets import find_preset as find_preset
+    from pecjax.training.result import train as train
+    from pecjax.training.settings import RunSettings as RunSettings
+    from pecjax.training.sinks import Sink as Sink
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 # Loaded when they are first asked for: who wants the samplers alone needs no simulator.
 _SUBPACKAGES = ("agents", "curriculum", "envs")
-_FROM_ROOMS = (
-    "COORDINATE_SET_1",
-    "COORDINATE_SET_2",
-    "Configurations",
-    "ControllerGains",
-    "NavigationSettings",
-    "RoomsNavigation",
-    "Scene",
-    "check_coordinates",
-    "depth_image",
-    "load_coordinates",
-    "load_scene",
-)
+_NAMES = {
+    **dict.fromkeys(
+        (
+            "COORDINATE_SET_1",
+            "COORDINATE_SET_2",
+            "Configurations",
+            "ControllerGains",
+            "NavigationSettings",
+            "Rooms",
+            "RoomsNavigation",
+            "Scene",
+            "check_coordinates",
+            "depth_image",
+            "load_coordinates",
+            "load_scene",
+        ),
+        "pecjax.envs.rooms",
+    ),
+    "Task": "pecjax.envs.task",
+    "TaskSettings": "pecjax.envs.task",
+    "set_path": "pecjax.settings_tree",
+    "RunSettings": "pecjax.training.settings",
+    "Sink": "pecjax.training.sinks",
+    "find_preset": "pecjax.training.presets",
+    "open_run": "pecjax.training.load",
+    "train": "pecjax.training.result",
+}
 
 
 def __getattr__(name: str) -> Any:
     """Loads a public name (PEP 562)."""
     if name in _SUBPACKAGES:
         return importlib.import_module(f"pecjax.{name}")
-    if name in _FROM_ROOMS:
-        return getattr(importlib.import_module("pecjax.envs.rooms"), name)
+    if name in _NAMES:
+        return getattr(importlib.import_module(_NAMES[name]), name)
     raise AttributeError(f"module 'pecjax' has no attribute '{name}'")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_SUBPACKAGES, *_FROM_ROOMS})
+    return sorted({*globals(), *_SUBPACKAGES, *_NAMES})

@@ -34,7 +34,7 @@ def resolve(name: str, base: type[T], package: str) -> type[T]:
     """The kind of that name.
 
     Args:
-        name: of a module of `package` that defines one kind, of an entry point in the group that is
+        name: of a module or package within `package` that defines one kind, of an entry point in the group that is
             called as the package is, or an address.
         base: what it is a kind of.
 
@@ -59,8 +59,11 @@ def resolve(name: str, base: type[T], package: str) -> type[T]:
 
 def short_name(kind: type, package: str) -> str:
     """The name that `resolve` knows a kind by: short for those of the package, else the address."""
-    module, _, last = kind.__module__.rpartition(".")
-    return last if module == package else address(kind)
+    if not kind.__module__.startswith(f"{package}."):
+        return address(kind)
+    name = kind.__module__.removeprefix(f"{package}.").partition(".")[0]
+    base = next(base for base in kind.__mro__ if inspect.isabstract(base))
+    return name if _only_kind(f"{package}.{name}", base) is kind else address(kind)
 
 
 def leaves(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
@@ -158,7 +161,8 @@ def _only_kind(module: str, base: type[T]) -> type[T] | None:
     kinds = [
         value
         for value in vars(importlib.import_module(module)).values()
-        if isinstance(value, type) and issubclass(value, base) and value.__module__ == module
+        if isinstance(value, type) and issubclass(value, base)
+        if value.__module__ == module or value.__module__.startswith(f"{module}.")
         if not inspect.isabstract(value)
     ]
     return kinds[0] if len(kinds) == 1 else None

@@ -1,11 +1,7 @@
-"""Agents: who learns."""
+"""Agents: who learns. They know tasks and samplers by their contracts only."""
 
-from pecjax.agents import apex as apex, ppo as ppo
-from pecjax.agents.agent import (
-    AXIS as AXIS,
-    Agent as Agent,
-    Metrics as Metrics,
-    TrainState as TrainState,
-    fleet_mesh as fleet_mesh,
-    shard as shard,
-)
+from pecjax.agents.apex import Apex as Apex
+from pecjax.agents.base import Agent as Agent, AgentSettings as AgentSettings, TrainState as TrainState
+from pecjax.agents.metrics import Metrics as Metrics
+from pecjax.agents.ppo import PPO as PPO
+from pecjax.agents.sharding import AXIS as AXIS, device_mesh as device_mesh, shard as shard

@@ -1,4 +1,4 @@
-"""Networks: an observation becomes action logits and a value."""
+"""Networks: features become the parameters of an action's distribution and a value."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
-
-DISTANCE_SCALE = 10.0  # m; brings the distance to the goal near 1
 
 
 @dataclass(frozen=True)
@@ -44,44 +42,28 @@ def normc(scale: float) -> Initializer:
     return init
 
 
-def encode(obs: dict[str, jax.Array], far: float) -> jax.Array:
-    """Brings an observation near the unit range, in one row of features.
-
-    Args:
-        obs: `depth` (…, H, W) m and `goal` (…, 2) m and rad.
-        far: m, the depth that becomes 1.
-
-    Returns:
-        (…, H·W + 3): the image row by row, then distance, and sine and cosine of the bearing, which
-        have no jump behind the drone.
-    """
-    distance, bearing = obs["goal"][..., 0], obs["goal"][..., 1]
-    goal = jnp.stack([distance / DISTANCE_SCALE, jnp.sin(bearing), jnp.cos(bearing)], axis=-1)
-    image = obs["depth"] / far
-    return jnp.concatenate([image.reshape(*image.shape[:-2], -1), goal], axis=-1)
-
-
 class ActorCritic(nn.Module):
-    """Action logits (…, A) and state value (…,) of a batch of features (…, H·W + 3).
+    """Parameters of the action's distribution (…, P) and state value (…,) of features (…, F).
 
     Attributes:
-        image_shape: (H, W) of the depth image within the features.
+        num_outputs: P.
+        image_shapes: (H, W) or (H, W, C) of the images that the features begin with.
     """
 
     settings: NetworkSettings
-    num_actions: int
-    image_shape: tuple[int, int]
+    num_outputs: int
+    image_shapes: tuple[tuple[int, ...], ...]
 
     @nn.compact
     def __call__(self, features: jax.Array) -> tuple[jax.Array, jax.Array]:
         """See `forward`, which is this with the parameters given."""
         settings = self.settings
         critic_gain = 0.01 if settings.initializer == "normc" else 1.0
-        outputs = {"actor": (self.num_actions, 0.01), "critic": (1, critic_gain)}
+        outputs = {"actor": (self.num_outputs, 0.01), "critic": (1, critic_gain)}
         if settings.encoder == "cnn":
             first = [
                 _dense(settings, settings.hidden[0], f"{name}_0")(
-                    _Convolutions(self.image_shape, name=f"{name}_convolutions")(features)
+                    _Convolutions(self.image_shapes, name=f"{name}_convolutions")(features)
                 )
                 for name in outputs
             ]
@@ -119,21 +101,25 @@ def _dense(settings: NetworkSettings, width: int, name: str, gain: float = np.sq
 
 
 class _Convolutions(nn.Module):
-    """Three convolutions over the image, and what is not image as it is.
+    """Three convolutions over each image, and what is no image as it is.
 
     Their kernels do not overlap (4×4, 2×2, 2×2), so that each is a matrix product over patches,
     which XLA is quick at on every device; its convolutions' gradients are slow on the CPU.
     """
 
-    image_shape: tuple[int, int]
+    image_shapes: tuple[tuple[int, ...], ...]
 
     @nn.compact
     def __call__(self, features: jax.Array) -> jax.Array:
-        pixels = int(np.prod(self.image_shape))
-        x = features[..., :pixels].reshape(*features.shape[:-1], *self.image_shape, 1)
-        for channels, kernel in ((16, 4), (32, 2), (32, 2)):
-            x = nn.relu(nn.Dense(channels)(patches(x, kernel)))
-        return jnp.concatenate([x.reshape(*x.shape[:-3], -1), features[..., pixels:]], axis=-1)
+        parts = []
+        for shape in self.image_shapes:
+            pixels = int(np.prod(shape))
+            x, features = features[..., :pixels], features[..., pixels:]
+            x = x.reshape(*x.shape[:-1], *shape[:2], *(shape[2:] or (1,)))
+            for channels, kernel in ((16, 4), (32, 2), (32, 2)):
+                x = nn.relu(nn.Dense(channels)(patches(x, kernel)))
+            parts.append(x.reshape(*x.shape[:-3], -1))
+        return jnp.concatenate([*parts, features], axis=-1)
 
 
 def patches(image: jax.Array, size: int) -> jax.Array:
@@ -146,11 +132,5 @@ def patches(image: jax.Array, size: int) -> jax.Array:
 
 
 def forward(network: ActorCritic, params: Any, features: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Action logits (…, A) and values (…,) under the given parameters."""
+    """Parameters of the distribution (…, P) and values (…,) under the given parameters."""
     return cast(tuple[jax.Array, jax.Array], network.apply(params, features))
-
-
-def draw_action(logits: jax.Array, chance: jax.Array) -> jax.Array:
-    """Draws from softmax(logits) (…, A), inverting its distribution function at `chance` (…,)."""
-    reached = jnp.cumsum(jax.nn.softmax(logits), axis=-1)[..., :-1]
-    return jnp.sum(chance[..., None] >= reached, axis=-1, dtype=jnp.int32)

@@ -19,7 +19,8 @@ def generalized_advantage(
         δ_t = r_t + γ (1 − d_t) V_{t+1} − V_t
         A_t = δ_t + γ λ (1 − d_t) A_{t+1}
 
-    Every ending is terminal, the step limit too: it is a failure of the task and is paid for.
+    Nothing is taken from beyond an ending; `with_bootstrap` adds to the reward what an episode that was
+    cut off would have gone on to see.
 
     Args:
         rewards, values, dones: (T, B); a done of 1 says that the episode ended in that step.
@@ -39,6 +40,20 @@ def generalized_advantage(
         return advantage, advantage
 
     return jax.lax.scan(step, jnp.zeros_like(last_value), (deltas, going_on), reverse=True)[1]
+
+
+def with_bootstrap(rewards: jax.Array, bootstrap: jax.Array | None, discount: float) -> jax.Array:
+    """Rewards with the discounted value of what follows, where an episode was cut off.
+
+        r_t + γ V(s_{t+1})
+
+    After that the cut is an ending like any other: the estimates below are then those that bootstrap
+    from the state that the episode was cut off in (Pardo et al. 2018, "Time limits in RL", Eq. 6).
+
+    Args:
+        bootstrap: of `rollout.Trajectory`; None leaves the rewards as they are.
+    """
+    return rewards if bootstrap is None else rewards + discount * bootstrap
 
 
 def n_step_return(

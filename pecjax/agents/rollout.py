@@ -8,35 +8,50 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from pecjax.curriculum.base import Outcomes, Sampler
-from pecjax.envs.rooms.config import Configurations
-from pecjax.envs.rooms.navigation import RoomsNavigation, State, flight_state
+from pecjax.agents.episodes import Episodes, Running, begin, go_on, reset_where
+from pecjax.agents.sharding import env_keys
+from pecjax.curriculum.base import Sampler
+from pecjax.envs.task import Task, World, take_configs
 
-# (observations (B, …), chance (B,)) -> actions (B,) and whatever else the agent wants recorded;
-# chance is uniform in [0, 1), all the randomness that an action may have
-Act = Callable[[Any, jax.Array], tuple[jax.Array, Any]]
+
+class Policy(NamedTuple):
+    """How an agent acts in a rollout.
+
+    Attributes:
+        noise: (key) -> all the randomness that one action may have.
+        act: (observations (B, …), noise (B, …)) -> (actions (B, …), whatever else the agent wants
+            recorded of the step).
+        value: (observations (B, …)) -> (B,), what is bootstrapped from where a task truncates.
+    """
+
+    noise: Callable[[jax.Array], Any]
+    act: Callable[[Any, Any], tuple[jax.Array, Any]]
+    value: Callable[[Any], jax.Array]
 
 
 class RolloutState(NamedTuple):
-    """The environments that an agent keeps running from batch to batch.
+    """The environments that an agent keeps running from batch to batch, leading axis B.
 
     Attributes:
-        state: their Brax states, leading axis B.
-        config_id: (B,) int32, the configuration each running episode was reset with.
-        episode_return: (B,), rewards of the running episode so far.
+        state: of the task.
+        obs: what each of them sees.
+        running: their episodes.
     """
 
-    state: State
-    config_id: jax.Array
-    episode_return: jax.Array
+    state: Any
+    obs: Any
+    running: Running
 
 
 class Trajectory(NamedTuple):
-    """What was seen and done, every leaf with leading axes (T, B).
+    """What was done, every leaf with leading axes (T, B).
 
     Attributes:
         obs: the observation before the action.
-        action, reward, done: as of `env.step`.
+        action, reward: as of `Task.step`.
+        done: float32, 1 where the episode ended.
+        bootstrap: the value of what an episode that was cut off would have gone on to see, 0 elsewhere;
+            None of a task that never truncates.
         extras: what the policy reported with the action.
     """
 
@@ -44,81 +59,64 @@ class Trajectory(NamedTuple):
     action: jax.Array
     reward: jax.Array
     done: jax.Array
+    bootstrap: jax.Array | None
     extras: Any
 
 
-class Episodes(NamedTuple):
-    """The endings within a rollout, arrays (T, B) that count where `outcomes.done` is 1.
+class _Draws(NamedTuple):
+    """All that is drawn for a step, leading axes (T, B): what a step does not use costs nothing."""
 
-    Attributes:
-        outcomes: what the sampler learns from.
-        returns: sum of rewards of the episode.
-        lengths: its number of actions.
-        unstable: bool, whether its physics blew up.
-    """
-
-    outcomes: Outcomes
-    returns: jax.Array
-    lengths: jax.Array
-    unstable: jax.Array
+    config_id: jax.Array
+    noise: Any
+    step: jax.Array
+    reset: jax.Array
+    observe: jax.Array
+    last_look: jax.Array
 
 
-def env_keys(key: jax.Array, env_ids: jax.Array) -> jax.Array:
-    """One key per environment, by its global number, so that sharding does not change draws."""
-    return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, env_ids)
+def _draw(sampler: Sampler, sampler_state: Any, noise: Any, keys: jax.Array, num_steps: int) -> _Draws:
+    def of_env(key: jax.Array) -> _Draws:
+        key_id, key_noise, *others = jax.random.split(key, 6)
+        ids = sampler.sample(sampler_state, key_id, (num_steps,))
+        noises = jax.vmap(noise)(jax.random.split(key_noise, num_steps))
+        return _Draws(ids, noises, *(jax.random.split(other, num_steps) for other in others))
 
-
-def global_ids(num_local: int, axis_name: str | None) -> jax.Array:
-    """The global numbers of what this device holds of something spread over the mesh axis."""
-    first = 0 if axis_name is None else jax.lax.axis_index(axis_name) * num_local
-    return first + jnp.arange(num_local)
-
-
-def draw_episodes(
-    sampler: Sampler, sampler_state: Any, keys: jax.Array, num_draws: int
-) -> tuple[jax.Array, jax.Array]:
-    """Configuration numbers and headings (rad), (num_draws, B), for the episodes to come."""
-
-    def of_one(key: jax.Array) -> tuple[jax.Array, jax.Array]:
-        key_id, key_heading = jax.random.split(key)
-        headings = jax.random.uniform(key_heading, (num_draws,), minval=-jnp.pi, maxval=jnp.pi)
-        return sampler.sample(sampler_state, key_id, (num_draws,)), headings
-
-    return jax.vmap(of_one, out_axes=1)(keys)
-
-
-def _place(env: RoomsNavigation, table: Configurations, config_id: jax.Array, heading: jax.Array) -> State:
-    rows = jax.tree.map(lambda leaf: jnp.asarray(leaf)[config_id], table)
-    return jax.vmap(env.place)(rows, heading)
+    return jax.vmap(of_env, out_axes=1)(keys)
 
 
 def init_rollout(
-    env: RoomsNavigation,
-    table: Configurations,
-    sampler: Sampler,
-    sampler_state: Any,
-    key: jax.Array,
-    num_envs: int,
+    task: Task, world: World, sampler: Sampler, sampler_state: Any, key: jax.Array, num_envs: int
 ) -> RolloutState:
     """Starts B environments in configurations drawn from the sampler."""
     keys = env_keys(key, jnp.arange(num_envs))
-    ids, headings = draw_episodes(sampler, sampler_state, keys, 1)
-    state = jax.vmap(env.observe)(_place(env, table, ids[0], headings[0]))
-    return RolloutState(state, ids[0], jnp.zeros(num_envs))
+    draws = jax.tree.map(lambda leaf: leaf[0], _draw(sampler, sampler_state, lambda key: (), keys, 1))
+    state = _reset(task, world, draws)
+    return RolloutState(
+        state, _observe(task, world, draws.observe, state), begin(draws.config_id, task.metrics)
+    )
+
+
+def _reset(task: Task, world: World, draws: _Draws) -> Any:
+    configs = take_configs(world.table, draws.config_id)
+    return jax.vmap(task.reset, in_axes=(0, 0, None))(draws.reset, configs, world.params)
+
+
+def _observe(task: Task, world: World, keys: jax.Array, state: Any) -> Any:
+    return jax.vmap(task.observe, in_axes=(0, 0, None))(keys, state, world.params)
 
 
 def rollout(
-    env: RoomsNavigation,
-    table: Configurations,
+    task: Task,
+    world: World,
     sampler: Sampler,
     sampler_state: Any,
-    act: Act,
-    fleet: RolloutState,
+    policy: Policy,
+    envs: RolloutState,
     key: jax.Array,
     env_ids: jax.Array,
     num_steps: int,
 ) -> tuple[RolloutState, Trajectory, Episodes]:
-    """Flies every environment for T steps (Jang & Choi 2022, Fig. 1, lines 2-10).
+    """Steps every environment T times (Jang & Choi 2022, Fig. 1, lines 2-10).
 
     An episode that ends gives way at once to the next, drawn from the sampler as it stands at the
     beginning of the batch; one that is still running is carried into the next batch. An outcome
@@ -127,36 +125,26 @@ def rollout(
     Args:
         env_ids: (B,), the environments' global numbers: all randomness is keyed by them.
     """
-    key_draw, key_act = jax.random.split(key)
-    draws = draw_episodes(sampler, sampler_state, env_keys(key_draw, env_ids), num_steps)
-    chances = jax.vmap(lambda k: jax.random.uniform(k, (num_steps,)), out_axes=1)(env_keys(key_act, env_ids))
+    all_draws = _draw(sampler, sampler_state, policy.noise, env_keys(key, env_ids), num_steps)
 
-    def step(fleet: RolloutState, row: tuple) -> tuple[RolloutState, tuple[Trajectory, Episodes]]:
-        (next_id, next_heading), chance = row
-        action, extras = act(fleet.state.obs, chance)
-        flown = jax.vmap(env.advance)(fleet.state, action)
-        done = flown.done.astype(bool)
-        episode_return = fleet.episode_return + flown.reward
-        episodes = Episodes(
-            Outcomes(fleet.config_id, done, done & (flown.metrics["goal"] == 0)),
-            episode_return,
-            flight_state(flown).step_count,
-            flown.metrics["unstable"] > 0,
+    def step(envs: RolloutState, draws: _Draws) -> tuple[RolloutState, tuple[Trajectory, Episodes]]:
+        action, extras = policy.act(envs.obs, draws.noise)
+        after = jax.vmap(task.step, in_axes=(0, 0, 0, None))(draws.step, envs.state, action, world.params)
+        running, episodes = go_on(envs.running, after, task.metrics)
+        done = episodes.outcomes.done
+        bootstrap = None
+        if task.truncates:
+            value = policy.value(_observe(task, world, draws.last_look, after.state))
+            bootstrap = jnp.where(after.truncated & ~after.terminated, value, 0.0)
+        trajectory = Trajectory(envs.obs, action, after.reward, jnp.float32(done), bootstrap, extras)
+        # Observed once a step, what stands there now: the last sight of an episode is of no use.
+        state = reset_where(done, _reset(task, world, draws), after.state)
+        envs = RolloutState(
+            state,
+            _observe(task, world, draws.observe, state),
+            reset_where(done, begin(draws.config_id, task.metrics), running),
         )
-        trajectory = Trajectory(fleet.state.obs, action, flown.reward, flown.done, extras)
+        return envs, (trajectory, episodes)
 
-        def where_done(new: jax.Array, old: jax.Array) -> jax.Array:
-            return jnp.where(done.reshape(-1, *[1] * (old.ndim - 1)), new, old)
-
-        # The old observation is of no more use; one depth image a step is cast, of what stands now.
-        fresh = _place(env, table, next_id, next_heading)
-        state = jax.tree.map(where_done, fresh, flown.replace(obs={}))
-        fleet = RolloutState(
-            state=jax.vmap(env.observe)(state),
-            config_id=where_done(next_id, fleet.config_id),
-            episode_return=where_done(jnp.zeros_like(episode_return), episode_return),
-        )
-        return fleet, (trajectory, episodes)
-
-    fleet, (trajectory, episodes) = jax.lax.scan(step, fleet, (draws, chances))
-    return fleet, trajectory, episodes
+    envs, (trajectory, episodes) = jax.lax.scan(step, envs, all_draws)
+    return envs, trajectory, episodes

@@ -6,11 +6,12 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from pecjax.commands.drawing import draw_map
 from pecjax.commands.options import Option
-from pecjax.envs.rooms.notices import world_notices
-from pecjax.training.build import load_world
-from pecjax.training.presets import RunSettings
+from pecjax.envs.rooms.settings import Rooms
+from pecjax.envs.task import take_configs
 
 
 @dataclass(frozen=True)
@@ -18,24 +19,27 @@ class Check:
     """Checks a map and its coordinates, and draws them.
 
     Attributes:
-        scene: a map and drone in MJCF. (default: the paper's six rooms)
+        scene: maps with their drone in MJCF, files or folders. (default: the paper's six rooms)
         coordinates: the paper's set 1 or 2, or a file of lines 'start_x, start_y, goal_x, goal_y'.
         out: where the picture goes, as .png and .svg.
     """
 
-    scene: Option[Path] = None
+    scene: Option[tuple[str, ...]] = None
     coordinates: str = "1"
     out: Path = Path("check")
 
     def run(self) -> None:
         """Checks, then draws."""
-        scene_name = None if self.scene is None else str(self.scene)
-        _, scene, table = load_world(RunSettings(scene=scene_name, coordinates=self.coordinates))
-        for line in world_notices(scene, table):
+        task = Rooms(table=self.coordinates, maps=self.scene or ())
+        made, world = task.make()
+        for line in task.notices(made, world):
             print(f"pecjax: notice: {line}", file=sys.stderr)
         stem = self.out.with_suffix("") if self.out.suffix in (".png", ".svg") else self.out
-        paths = draw_map(scene, table, stem)
+        scenes, table = task.scenes(), task.configurations()
+        paths = draw_map(scenes[0], take_configs(table, np.flatnonzero(table.map_id == 0)), stem)
+        walls = len(scenes[0].map.names)
+        maps = f"{walls} walls" if len(scenes) == 1 else f"{len(scenes)} maps, the first of {walls} walls"
         print(
-            f"{len(scene.wall_names)} walls, {table.size} configurations: every one can be flown by a "
-            f"drone of radius {scene.drone_radius:g} m; drawn to {' and '.join(map(str, paths))}"
+            f"{maps}, {table.size} configurations: every one can be flown by a "
+            f"drone of radius {made.vehicle.radius:g} m; drawn to {' and '.join(map(str, paths))}"
         )

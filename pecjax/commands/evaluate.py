@@ -6,13 +6,20 @@ import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import jax
 import numpy as np
 import tyro
 
 from pecjax.commands.options import Option
-from pecjax.training import build as assembly, evaluation, load as trained, presets
-from pecjax.training.run_directory import RunDirectory
+from pecjax.envs.rooms.config import Configurations
+from pecjax.training.evaluation import success_by_config
+from pecjax.training.load import open_run
+from pecjax.training.program import compile_evaluator
+from pecjax.training.settings import EvaluationSettings, check_settings
+
+MOST_LINES = 60  # of configurations
 
 
 @dataclass(frozen=True)
@@ -40,34 +47,44 @@ class Eval:
 
     def run(self) -> None:
         """Flies and reports."""
-        settings = dataclasses.replace(
-            RunDirectory(self.folder).settings(),
-            evaluation_episodes=self.episodes,
-            evaluation_seed=self.seed,
-            greedy=not self.sampled,
-        )
-        presets.check_settings(settings)
-        _, run, iteration, learner = trained.open_run(self.folder, self.checkpoint)
-        flights = assembly.compile_evaluator(run, settings, learner)(learner)
-        ratios = evaluation.goal_ratios(flights, run.table.size)
+        trained = open_run(self.folder, self.checkpoint)
+        about = EvaluationSettings(episodes=self.episodes, seed=self.seed, greedy=not self.sampled)
+        settings = dataclasses.replace(trained.settings, evaluation=about)
+        check_settings(settings)
+        run = trained.run
+        flights = compile_evaluator(run, settings, trained.learner)(trained.learner, run.world)
+        ratios = success_by_config(flights.config_id, flights.success, run.num_configs)
         report = {
-            "goal_ratio": float(flights.goal.mean()),
+            "goal_ratio": float(flights.success.mean()),
             "mean_return": float(flights.returns.mean()),
             "episodes": self.episodes,
             "per_configuration": [None if np.isnan(r) else float(r) for r in ratios],
-            "greedy": settings.greedy,
+            "greedy": about.greedy,
             "seed": self.seed,
-            "checkpoint": iteration,
+            "checkpoint": trained.iteration,
         }
         if self.json:
             print(json.dumps(report))
             return
         print(
-            f"checkpoint {iteration}: goal ratio {report['goal_ratio']:.4f}, mean return "
+            f"checkpoint {trained.iteration}: goal ratio {report['goal_ratio']:.4f}, mean return "
             f"{report['mean_return']:.1f} over {self.episodes} "
-            f"{'greedy' if settings.greedy else 'sampled'} episodes of a uniform draw"
+            f"{'greedy' if about.greedy else 'sampled'} episodes of a uniform draw"
         )
-        for config, ratio in enumerate(report["per_configuration"]):
-            start, goal = run.table.start[config], run.table.goal[config]
-            line = f"  c{config:<3} ({start[0]:g}, {start[1]:g}) -> ({goal[0]:g}, {goal[1]:g})"
-            print(f"{line:34} {'not flown' if ratio is None else f'{ratio:.3f}'}")
+        order = np.arange(run.num_configs)
+        if len(order) > MOST_LINES:
+            order = np.argsort(ratios)[:MOST_LINES]  # what was not flown comes last
+            print(f"the {MOST_LINES} lowest of {run.num_configs} configurations:")
+        for config in order.tolist():
+            line = f"  c{config:<3} {describe(run.world.table, config)}"
+            print(f"{line:34} {'not flown' if np.isnan(ratios[config]) else f'{ratios[config]:.3f}'}")
+
+
+def describe(table: Any, row: int) -> str:
+    """A configuration in words: where it leads from and to, or its numbers."""
+    one = jax.tree.map(lambda leaf: np.asarray(leaf)[row], table)
+    if isinstance(one, Configurations):
+        (x, y), (goal_x, goal_y) = one.start, one.goal
+        where = f"({x:g}, {y:g}) -> ({goal_x:g}, {goal_y:g})"
+        return where + (f" in map {one.map_id}" if np.any(np.asarray(table.map_id)) else "")
+    return " ".join(f"{value:g}" for leaf in jax.tree.leaves(one) for value in np.ravel(leaf))

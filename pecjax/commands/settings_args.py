@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from typing import Any, get_type_hints
 
 from pecjax.commands.options import read
-from pecjax.training.presets import RunSettings
+from pecjax.training.settings import RunSettings
 
 # What has an option of its own in every command, or follows from one.
-_ELSEWHERE = {"preset", "algorithm", "coordinates", "scene", "seed", "iterations"}
+_ELSEWHERE = {"preset", "seed"}
 
 
 def split(words: Sequence[str], command: type) -> tuple[list[str], list[str]]:
@@ -24,7 +24,7 @@ def split(words: Sequence[str], command: type) -> tuple[list[str], list[str]]:
     command; the words up to the next option are its values.
     """
     own = {field.name for field in dataclasses.fields(command)}
-    leaves = {field.name for field in dataclasses.fields(RunSettings)} - _ELSEWHERE - own - {"sampler"}
+    leaves = {field.name for field in dataclasses.fields(RunSettings)} - _ELSEWHERE - own
     kept: list[str] = []
     settings: list[str] = []
     into = kept
@@ -65,15 +65,14 @@ def print_help(settings: RunSettings, command: type) -> None:
 
 
 def _tree(settings: RunSettings, command: type) -> Any:
-    """What may be set: the tree without what the command has options for, and without the other learner."""
-    own = {field.name for field in dataclasses.fields(command)}
-    own = own | {"sampler"} if "samplers" in own else own - {"sampler"}  # a study has its own
-    other = "ppo" if settings.algorithm == "apex" else "apex"
+    """What may be set: the tree without what the command has options for."""
+    of_command = {field.name for field in dataclasses.fields(command)}
+    elsewhere = _ELSEWHERE | ({"sampler"} if "samplers" in of_command else set())  # a study has its own
     hints = get_type_hints(RunSettings)
     fields = [
         (field.name, hints[field.name], dataclasses.field(default=getattr(settings, field.name)))
         for field in dataclasses.fields(RunSettings)
-        if field.name not in own | _ELSEWHERE | {other}
+        if field.name not in elsewhere
     ]
     kind = dataclasses.make_dataclass(
         "Settings", fields, frozen=True, namespace={"__doc__": RunSettings.__doc__}

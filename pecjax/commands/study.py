@@ -21,8 +21,12 @@ from pecjax.studies.catalogue import find_study
 from pecjax.studies.directory import StudyDirectory
 from pecjax.studies.grid import StudySettings, read_grid
 from pecjax.studies.run import run_study
-from pecjax.training import presets
-from pecjax.training.samplers import has_alpha, make_sampler
+from pecjax.training.kinds import has_alpha, kind_name
+from pecjax.training.presets import PRESETS, find_preset
+from pecjax.training.settings import RunSettings, override
+
+# Of a study that is none of the paper's.
+OWN_GRID = (("task.table", ("1",)), ("sampler", ("pec", "uniform")), ("sampler.alpha", (0.2,)))
 
 
 @dataclass(frozen=True)
@@ -44,9 +48,10 @@ class Study:
         seeds: numbers, or ranges such as 0-9. (default: the study's, or 0-4)
         iterations: of each run. (default: the study's, or the preset's where one is given)
         evaluate_every: iterations between evaluations. (default: as for the iterations)
-        scene: a map and drone in MJCF. (default: the paper's six rooms)
+        task: what is learned: rooms, or one of your own as my.module:Class. (default: rooms)
+        scene: maps with their drone in MJCF, files or folders. (default: the paper's six rooms)
         at_once: runs in one program. (default: as many as there are devices)
-        grid: another setting to vary, and its values: ppo.learning_rate 1e-4 3e-4, or sampler.floor 0 0.1;
+        grid: another setting to vary, and its values: agent.learning_rate 1e-4 3e-4, or sampler.floor 0 0.1;
             may be given several times.
         out: the study's folder. (default: studies/NAME-SCALE, or studies/own)
         settings: options by their dotted paths (see `settings_args`).
@@ -61,7 +66,8 @@ class Study:
     seeds: Option[tuple[str, ...]] = None
     iterations: Option[int] = None
     evaluate_every: Option[int] = None
-    scene: Option[str] = None
+    task: Option[str] = None
+    scene: Option[tuple[str, ...]] = None
     at_once: Option[int] = None
     grid: Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction] = ()
     out: Option[Path] = None
@@ -94,39 +100,60 @@ class Study:
         at_once = self.at_once
         if at_once is None and (folder / "study.json").is_file():
             at_once = StudyDirectory(folder).settings().at_once  # as it was begun
-        changes = {
-            "samplers": self.samplers,
-            "alphas": self.alphas,
-            "coordinates": self.coordinates,
-            "seeds": None if self.seeds is None else read_seeds(self.seeds),
-            "at_once": len(jax.devices()) if at_once is None else at_once,
-        }
-        run = presets.override(
-            study.run, iterations=self.iterations, evaluate_every=self.evaluate_every, scene=self.scene
-        )
         if any(word.startswith("--sampler.") for word in self.settings):
-            raise InputError("a study tries its samplers' numbers; give --samplers and --alphas")
+            raise InputError("a study tries its samplers' numbers; give --samplers, --alphas and --grid")
+        run = override(
+            study.run,
+            task=self.task,
+            iterations=self.iterations,
+            evaluate_every=self.evaluate_every,
+            scene=self.scene,
+        )
         run = settings_args.apply(run, self.settings, Study)
-        given = {name: value for name, value in changes.items() if value is not None}
-        settings = dataclasses.replace(study, run=run, **given)
-        if self.grid:
-            grid = tuple(read_grid(run, settings.samplers, words) for words in self.grid)
-            settings = dataclasses.replace(settings, grid=grid)
-        if self.alphas and not any(has_alpha(make_sampler(name)) for name in settings.samplers):
-            raise InputError(f"samplers: {', '.join(settings.samplers)} has no alpha; leave out --alphas")
-        return settings
+        return dataclasses.replace(
+            study,
+            run=run,
+            grid=self._grid(study, run),
+            seeds=study.seeds if self.seeds is None else read_seeds(self.seeds),
+            at_once=len(jax.devices()) if at_once is None else at_once,
+        )
+
+    def _grid(self, study: StudySettings, run: RunSettings) -> tuple[tuple[str, tuple], ...]:
+        """What the study varies: its own grid with the changes, then what else is given."""
+        grid = dict(study.grid)
+        if not hasattr(run.task, "table"):
+            grid.pop("task.table", None)
+        given = {"task.table": self.coordinates, "sampler": self.samplers, "sampler.alpha": self.alphas}
+        for path, values in given.items():
+            if values is not None:
+                grid[path] = tuple(values)
+        samplers = tuple(map(str, grid.get("sampler", ()))) or (kind_name(run.sampler),)
+        samplers = tuple(kind_name(override(run, sampler=name).sampler) for name in samplers)
+        if "sampler" in grid:
+            grid["sampler"] = samplers
+        if not any(has_alpha(override(run, sampler=name).sampler) for name in samplers):
+            if self.alphas is not None:
+                raise InputError(f"samplers: {', '.join(samplers)} has no alpha; leave out --alphas")
+            grid.pop("sampler.alpha", None)
+        further = [read_grid(run, samplers, words) for words in self.grid]
+        paths = [path for path, _ in further]
+        twice = [path for path in paths if paths.count(path) > 1 or given.get(path) is not None]
+        if twice:
+            raise InputError(f"grid: {twice[0]} is given twice; give all its values at once")
+        return tuple((grid | dict(further)).items())
 
     def _base(self) -> StudySettings:
         """The study to begin from."""
-        preset = None if self.preset is None else presets.find_preset(self.preset)
+        preset = None if self.preset is None else find_preset(self.preset)
         if self.name is None:
             if self.scale is not None:
                 raise InputError("scale is of the paper's studies; name one, such as fig4, or leave it out")
-            return StudySettings("own", preset or presets.PRESETS["fast"])
+            return StudySettings("own", preset or PRESETS["fast"], OWN_GRID)
         study = find_study(self.name, self.scale or "laptop")
-        if preset and preset.algorithm != study.run.algorithm:
+        agents = [kind_name(run.agent) for run in (preset or study.run, study.run)]
+        if len(set(agents)) > 1:
             raise InputError(
-                f"preset {self.preset} is of {preset.algorithm} and {self.name} of {study.run.algorithm}; "
+                f"preset {self.preset} is of {agents[0]} and {self.name} of {agents[1]}; "
                 "choose another preset, or name no study"
             )
         return dataclasses.replace(study, run=preset or study.run)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +12,10 @@ from pecjax.commands.drawing import draw
 from pecjax.commands.options import Option, Rest
 from pecjax.errors import InputError
 from pecjax.runtime import distributed as processes
-from pecjax.training import presets, train as training
+from pecjax.training import train as training
+from pecjax.training.presets import find_preset
 from pecjax.training.run_directory import RunDirectory
+from pecjax.training.settings import override
 
 
 @dataclass(frozen=True)
@@ -22,12 +25,14 @@ class Train:
     Attributes:
         preset: where the settings begin from: fast, rllib085 (the paper's own) or image (64×48) for
             ppo, apex-fast or apex-rllib085 for apex. (default: fast or apex-fast)
-        algorithm: the learner: ppo or apex. (default: the preset's)
+        agent: the learner: ppo, apex, or one of your own as my.module:Class. (default: the preset's)
+        task: what is learned: rooms, or one of your own as my.module:Class. (default: rooms)
         sampler: how the next configuration is chosen: pec, uniform, or one of your own as
             my.module:Class. (default: the preset's)
         alpha: α of PEC, 0 or more; the larger, the nearer to uniform. (default: 0.2)
-        coordinates: the paper's set 1 or 2, or a file of lines 'x, y, x, y'. (default: 1)
-        scene: a map and drone in MJCF. (default: the paper's six rooms)
+        coordinates: the paper's set 1 or 2, or a file of configurations; --task.table. (default: 1)
+        scene: maps with their drone in MJCF, files or folders; --task.maps. (default: the paper's six
+            rooms)
         seed: of everything random in training. (default: 0)
         iterations: how many to train for. (default: the preset's)
         until_goal_ratio: stops once --patience iterations in a row have reached this training goal
@@ -46,11 +51,12 @@ class Train:
     """
 
     preset: Option[str] = None
-    algorithm: Option[str] = None
+    agent: Option[str] = None
+    task: Option[str] = None
     sampler: Option[str] = None
     alpha: Option[float] = None
     coordinates: Option[str] = None
-    scene: Option[str] = None
+    scene: Option[tuple[str, ...]] = None
     seed: Option[int] = None
     iterations: Option[int] = None
     until_goal_ratio: Option[float] = None
@@ -71,13 +77,15 @@ class Train:
         if self.resume:  # what is given beside it must be as it was
             if self.out is None:
                 raise InputError("--resume needs the run's folder; give it with --out")
-            base = presets.override(
-                RunDirectory(self.out).settings(), preset=self.preset, algorithm=self.algorithm
-            )
+            base = RunDirectory(self.out).settings()
+            if self.preset is not None:
+                base = dataclasses.replace(base, preset=self.preset)
         else:
-            base = presets.find_preset(self.preset, self.algorithm)
-        settings = presets.override(
+            base = find_preset(self.preset, self.agent)
+        settings = override(
             base,
+            task=self.task,
+            agent=self.agent,
             num_envs=self.num_envs,
             sampler=self.sampler,
             alpha=self.alpha,

@@ -23,11 +23,17 @@ class Outcomes(NamedTuple):
         config_id: int, the configuration that the running episode was reset with.
         done: bool or 0/1, whether the episode ended here; the others do not count.
         failed: bool or 0/1, whether it ended in failure.
+        length: int, its number of actions.
+        episode_return: the sum of its rewards.
+        signal: the learner's own score of it, where it has one.
     """
 
     config_id: Any
     done: Any
     failed: Any
+    length: Any = None
+    episode_return: Any = None
+    signal: Any = None
 
 
 class Sampler(NamedTuple):
@@ -90,11 +96,14 @@ def count_outcomes(outcomes: Outcomes, num_configs: int, axis_name: str | None =
 
 def _broadcast(outcomes: Outcomes) -> list[Any]:
     """The three parts in one shape; those with values to look at as NumPy arrays."""
-    parts = [_on_host(part) for part in outcomes]
+    counted = outcomes[:3]
+    parts = [_on_host(part) for part in counted]
     try:
         shape = np.broadcast_shapes(*map(np.shape, parts))
     except ValueError as error:
-        shapes = ", ".join(f"{name} {np.shape(part)}" for name, part in outcomes._asdict().items())
+        shapes = ", ".join(
+            f"{name} {np.shape(part)}" for name, part in zip(outcomes._fields, counted, strict=False)
+        )
         raise InputError(f"outcomes: {shapes} do not broadcast; give arrays of one shape") from error
     return [(np if _has_values(part) else jnp).broadcast_to(part, shape) for part in parts]
 

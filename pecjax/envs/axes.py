@@ -45,6 +45,8 @@ def axis(
 ) -> Any:
     """Declares a field of a table: an array (N,) of one column, (N, k) of k columns.
 
+    A field with a default may be left out; `fill` puts the default there.
+
     Example:
         @struct.dataclass
         class Configurations:
@@ -52,7 +54,8 @@ def axis(
             wind: jax.Array = axis("wind", default=0.0, unit="m/s", low=-20, high=20)
     """
     about = Axis(tuple(columns.split()), dtype, default, unit, low, high)
-    return dataclasses.field(metadata={_KEY: about})
+    # None is no leaf of a pytree: an axis that was not given is filled in where its length is known.
+    return dataclasses.field(metadata={_KEY: about}, default=dataclasses.MISSING if default is None else None)
 
 
 def axes_of(kind: type) -> dict[str, Axis]:
@@ -123,10 +126,26 @@ def from_columns(
     return kind(**leaves)
 
 
+def fill(table: Table) -> Table:
+    """The table, or a row of one, with the defaults of the axes that were left out."""
+    axes: dict[str, Axis] = axes_of(type(table))
+    given = {name: value for name in axes if (value := getattr(table, name)) is not None}
+    first = next(iter(given))
+    leading = np.shape(given[first])[: np.ndim(given[first]) - (len(axes[first].columns) > 1)]
+    missing = {
+        name: np.full(leading + (len(about.columns),) * (len(about.columns) > 1), about.default, about.dtype)
+        for name, about in axes.items()
+        if name not in given
+    }
+    return type(table)(**given, **missing)
+
+
 def to_columns(table: Any) -> dict[str, np.ndarray]:
-    """The columns of a table, (N,) each."""
+    """The columns of a table, (N,) each, without the axes that were left out."""
     columns = {}
     for field, about in axes_of(type(table)).items():
+        if getattr(table, field) is None:
+            continue
         numbers = np.asarray(getattr(table, field))
         columns |= dict(zip(about.columns, numbers.reshape(len(numbers), -1).T, strict=True))
     return columns

@@ -15,8 +15,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch, Patch, Rectangle
 
 from pecjax.envs.rooms.config import Configurations
-from pecjax.envs.rooms.navigation import NavigationSettings
 from pecjax.envs.rooms.scene import Scene
+from pecjax.envs.rooms.task import NavigationSettings
 from pecjax.plotting.style import FAILURES, GOAL, PATH
 
 # How walls look: at the flight height, below or above it, and a floor or ceiling.
@@ -28,22 +28,33 @@ PASSED: dict[str, Any] = {
     "linewidth": 0.6,
     "zorder": 0.8,
 }
+MOST_NAMES = 60  # of configurations; more would hide the map
 COVER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.8", "linewidth": 0.6, "zorder": 0.6}
 
 
-def rooms(scene: Scene, table: Configurations, trajectories: pd.DataFrame | None = None) -> Figure:
-    """The map with its configurations and, if any, flown trajectories (Fig. 2-3)."""
+def rooms(
+    scene: Scene,
+    table: Configurations,
+    trajectories: pd.DataFrame | None = None,
+    rules: NavigationSettings = NavigationSettings(),
+) -> Figure:
+    """The map with its configurations and, if any, flown trajectories (Fig. 2-3).
+
+    Args:
+        trajectories: columns episode, success, x and y, a row a step.
+        rules: of the task.
+    """
     figure = Figure((6.4, 6.4), layout="constrained")
     axes = figure.subplots()
-    floor_plan(axes, scene)
+    floor_plan(axes, scene, rules)
     if trajectories is not None:
         for _, path in trajectories.groupby("episode"):
-            reached = path.goal.iloc[0] == 1
+            reached = path.success.iloc[0] == 1
             color, alpha = (PATH, 0.7) if reached else (FAILURES, 1)
             axes.plot(path.x, path.y, color=color, linewidth=0.9, alpha=alpha)
             if not reached:
                 axes.plot(path.x.iloc[-1], path.y.iloc[-1], "x", color=FAILURES)
-        flights = trajectories.groupby("episode").goal.first()
+        flights = trajectories.groupby("episode").success.first()
         axes.set_title(
             f"{int(flights.sum())} of {len(flights)} flights reach their goal (× where one ends otherwise)",
             fontsize=9,
@@ -51,16 +62,15 @@ def rooms(scene: Scene, table: Configurations, trajectories: pd.DataFrame | None
     for start, goal in zip(np.asarray(table.start), np.asarray(table.goal), strict=True):
         way = {"linestyle": ":", "linewidth": 0.6, "color": "0.6", "shrinkA": 0, "shrinkB": 3}
         axes.add_patch(FancyArrowPatch(start, goal, arrowstyle="-|>", mutation_scale=7, zorder=1, **way))
-    _places(axes, table)
-    figure.legend(
-        handles=_legend(axes, trajectories), loc="outside lower center", ncols=3, fontsize=8, columnspacing=1
-    )
+    _places(axes, table, rules)
+    entries = _legend(axes, trajectories, rules)
+    figure.legend(handles=entries, loc="outside lower center", ncols=3, fontsize=8, columnspacing=1)
     return figure
 
 
-def _legend(axes: Axes, trajectories: pd.DataFrame | None) -> list[Artist]:
+def _legend(axes: Axes, trajectories: pd.DataFrame | None, rules: NavigationSettings) -> list[Artist]:
     """An entry for each kind of thing that the map shows."""
-    radius = NavigationSettings().goal_radius
+    radius = rules.goal_radius
     ring = {"marker": "o", "markersize": 9, "markerfacecolor": "none", "linestyle": ""}
     entries: list[Artist] = [
         Line2D([], [], color=GOAL, marker="o", markersize=5, linestyle="", label="start"),
@@ -68,16 +78,18 @@ def _legend(axes: Axes, trajectories: pd.DataFrame | None) -> list[Artist]:
         Line2D([], [], color="0.6", linestyle=":", label="from start to goal"),
     ]
     if trajectories is not None:
-        if (trajectories.goal == 1).any():
+        if (trajectories.success == 1).any():
             entries.append(Line2D([], [], color=PATH, label="flight that reached its goal"))
-        if (trajectories.goal != 1).any():
+        if (trajectories.success != 1).any():
             entries.append(Line2D([], [], color=FAILURES, marker="x", label="flight that ended otherwise"))
     if any(patch.get_hatch() for patch in axes.patches):
         entries.append(Patch(**PASSED, label="wall below or above flights"))
     return entries
 
 
-def success(axes: Axes, scene: Scene, table: Configurations, ratios: np.ndarray) -> ScalarMappable:
+def success(
+    axes: Axes, scene: Scene, table: Configurations, ratios: np.ndarray, rules: NavigationSettings
+) -> ScalarMappable:
     """The map with a line for every configuration, coloured by its goal ratio, the lower the broader.
 
     A pair and its reverse bend apart, each to the right of its way.
@@ -87,7 +99,7 @@ def success(axes: Axes, scene: Scene, table: Configurations, ratios: np.ndarray)
     """
     colors = LinearSegmentedColormap.from_list("dark", viridis(np.linspace(0, 0.85, 64)))
     shade = ScalarMappable(Normalize(0.5, 1), colors)
-    floor_plan(axes, scene)
+    floor_plan(axes, scene, rules)
     for start, goal, ratio in zip(np.asarray(table.start), np.asarray(table.goal), ratios, strict=True):
         arrow = FancyArrowPatch(
             start,
@@ -101,26 +113,26 @@ def success(axes: Axes, scene: Scene, table: Configurations, ratios: np.ndarray)
             color=shade.to_rgba(ratio),
         )
         axes.add_patch(arrow)
-    _places(axes, table)
+    _places(axes, table, rules)
     return shade
 
 
-def floor_plan(axes: Axes, scene: Scene) -> None:
+def floor_plan(axes: Axes, scene: Scene, rules: NavigationSettings = NavigationSettings()) -> None:
     """The walls from above, in metres: solid what the drone can hit at its flight height.
 
     Walls that it flies over or under are hatched; a floor or a ceiling is outlined only.
     """
-    limits = scene.bounds
+    limits = scene.map.bounds
     for lower, upper in zip(scene.wall_lower, scene.wall_upper, strict=True):
         (x, y), (right, top) = np.clip([lower[:2], upper[:2]], *limits)
-        style = _wall_style(scene, limits, lower, upper)
+        style = _wall_style(scene, rules.flight_height, lower, upper)
         axes.add_patch(Rectangle((x, y), right - x, top - y, **style))
     (left, bottom), (right, top) = limits
     axes.set(xlim=(left, right), ylim=(bottom, top), xlabel="x (m)", ylabel="y (m)", aspect="equal")
 
 
-def _wall_style(scene: Scene, limits: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> dict[str, Any]:
-    height, radius = NavigationSettings().flight_height, scene.drone_radius
+def _wall_style(scene: Scene, height: float, lower: np.ndarray, upper: np.ndarray) -> dict[str, Any]:
+    limits, radius = scene.map.bounds, scene.drone_radius
     if lower[2] - radius <= height <= upper[2] + radius:
         return SOLID
     (low, high), inside = limits, np.clip([lower[:2], upper[:2]], *limits)
@@ -128,15 +140,17 @@ def _wall_style(scene: Scene, limits: np.ndarray, lower: np.ndarray, upper: np.n
     return COVER if covered > 0.5 else PASSED
 
 
-def _places(axes: Axes, table: Configurations) -> None:
+def _places(axes: Axes, table: Configurations, rules: NavigationSettings) -> None:
     """Marks every start by a dot with its configurations, and every goal by the circle to be reached."""
     starts: dict[tuple[float, float], list[int]] = {}
     for row, start in enumerate(np.asarray(table.start)):
         starts.setdefault((float(start[0]), float(start[1])), []).append(row)
     for place, rows in starts.items():
         axes.plot(*place, "o", color=GOAL, markersize=5)
+        if len(table.start) > MOST_NAMES:
+            continue
         name = ",".join(f"c{row}" for row in rows)
         axes.annotate(name, place, textcoords="offset points", xytext=(4, 5), fontsize=7, color=GOAL)
     for x, y in np.unique(np.asarray(table.goal), axis=0):
-        radius = NavigationSettings().goal_radius
+        radius = rules.goal_radius
         axes.add_patch(Circle((x, y), radius, facecolor="none", edgecolor=GOAL, linewidth=0.6, zorder=1.5))

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pecjax.envs.rooms.scene import load_scene
+from pecjax.envs.rooms.settings import Rooms
+from pecjax.envs.task import take_configs
 from pecjax.plotting.configurations import configurations
 from pecjax.plotting.maps import rooms
 from pecjax.plotting.style import (
     FAILURES,
     GOAL,
-    LEARNERS,
     PATH,
     RATIO_LIMITS,
     SMOOTHED_ITERATIONS,
@@ -25,14 +26,13 @@ from pecjax.plotting.style import (
 )
 from pecjax.storage.tables import read_table
 from pecjax.studies.statistics import trial_and_failure_ratios
+from pecjax.training.kinds import run_label
 from pecjax.training.run_directory import RunDirectory
-from pecjax.training.samplers import sampler_label
+from pecjax.training.run_tables import configuration_table, trajectory_table
 
 _COLUMNS = {
     "metrics": {"iteration", "env_steps", "goal_ratio"},
-    "configurations": {"iteration", "config", "trials", "failures"},
     "evaluation": {"iteration", "goal_ratio", "mean_return"},
-    "trajectories": {"episode", "config", "goal", "step", "x", "y"},
 }
 
 
@@ -44,20 +44,28 @@ def draw_run(folder: Path) -> list[Path]:
     """
     run = RunDirectory(folder)
     settings = run.settings()
-    tables = {name: read_table(folder / f"{name}.csv", columns) for name, columns in _COLUMNS.items()}
-    label = f"{sampler_label(settings.sampler)}, {LEARNERS[settings.algorithm]}"
-    label += f", coordinates {Path(settings.coordinates).name}, seed {settings.seed}"
-    metrics, evaluation = tables["metrics"], tables["evaluation"]
+    metrics, evaluation = (read_table(folder / f"{name}.csv", columns) for name, columns in _COLUMNS.items())
+    counts, about = configuration_table(run), settings.evaluation
     figures = {
-        "goal_ratio": goal_ratio(metrics, evaluation, settings.greedy),
-        "configurations": configurations(tables["configurations"]),
-        "spread": spread(tables["configurations"]),
-        "evaluation": evaluations(evaluation, settings.evaluation_episodes, settings.greedy),
-        "map": rooms(load_scene(run.scene_path), run.table(), tables["trajectories"]),
+        "goal_ratio": goal_ratio(metrics, evaluation, about.greedy),
+        "configurations": configurations(counts),
+        "spread": spread(counts),
+        "evaluation": evaluations(evaluation, about.episodes, about.greedy),
     }
+    task = run.task()
+    if isinstance(task, Rooms):
+        figures["map"] = _first_map(task, trajectory_table(run))
     for figure in figures.values():
-        figure.suptitle(label, fontsize=10)
+        figure.suptitle(run_label(settings), fontsize=10)
     return [path for name, figure in figures.items() for path in save(figure, folder / "figures" / name)]
+
+
+def _first_map(task: Rooms, trajectories: pd.DataFrame) -> Figure:
+    """The first of the task's maps, with the configurations and flights in it."""
+    table = task.configurations()
+    inside = np.flatnonzero(np.asarray(table.map_id) == 0)
+    flown = trajectories.loc[trajectories.config.isin(inside)]
+    return rooms(task.scenes()[0], take_configs(table, inside), flown, task)
 
 
 def goal_ratio(metrics: pd.DataFrame, evaluation: pd.DataFrame, greedy: bool) -> Figure:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from pecjax.envs.rooms.config import Configurations
-from pecjax.envs.rooms.scene import Scene, load_scene
+from pecjax.envs.rooms.settings import Rooms
+from pecjax.envs.task import TaskSettings
 from pecjax.plotting.configurations import configurations
 from pecjax.plotting.study_curves import evaluation, exits, goal_ratio, spread
 from pecjax.plotting.study_ends import alphas, maps, steps_to_threshold
-from pecjax.plotting.style import LEARNERS, save
+from pecjax.plotting.style import save
 from pecjax.studies.directory import StudyDirectory
+from pecjax.studies.grid import space_name
 from pecjax.studies.report import StudyTables, by_run, read_study, varied_columns
+from pecjax.training.kinds import AGENT_LABELS, kind_name
 
 
 def draw_study(folder: Path) -> list[Path]:
@@ -26,33 +29,39 @@ def draw_study(folder: Path) -> list[Path]:
     directory = StudyDirectory(folder)
     settings = directory.settings()
     everything = read_study(folder)
-    scene = load_scene(directory.scene_path, settings.run.resolution)
+    tasks = dict.fromkeys(settings.settings_of(spec).task for part in settings.slices() for spec in part)
+    spaces: dict[str, TaskSettings] = {}
+    for number, task in enumerate(tasks):
+        space = space_name(dataclasses.replace(settings.run, task=task))
+        spaces.setdefault(space, directory.task(number, task))
+    agent = kind_name(settings.run.agent)
     paths = []
-    for coordinates in settings.coordinates:
-        tables = StudyTables(*(table.loc[table.coordinates == coordinates] for table in everything))
+    for space, task in spaces.items():
+        tables = StudyTables(*(table.loc[table.coordinates == space] for table in everything))
         if tables.results.empty:
             continue
         seeds = tables.results.groupby("condition").seed.nunique()
         number = f"{seeds.max()}" if seeds.min() == seeds.max() else f"{seeds.min()} to {seeds.max()}"
         title = (
-            f"{settings.name}: {LEARNERS[settings.run.algorithm]}, coordinates {Path(coordinates).stem}, "
+            f"{settings.name}: {AGENT_LABELS.get(agent, agent)}, coordinates {Path(space).stem}, "
             f"{number} seed{'' if number == '1' else 's'}"
         )
-        for name, figure in _figures(tables, scene, directory.table(coordinates)):
+        for name, figure in _figures(tables, task):
             figure.suptitle(title, fontsize=10)
-            stem = name if len(settings.coordinates) == 1 else f"{name}-{Path(coordinates).stem}"
+            stem = name if len(spaces) == 1 else f"{name}-{Path(space).stem}"
             paths.extend(save(figure, folder / "figures" / stem))
     return paths
 
 
-def _figures(tables: StudyTables, scene: Scene, table: Configurations) -> Iterator[tuple[str, Figure]]:
+def _figures(tables: StudyTables, task: TaskSettings) -> Iterator[tuple[str, Figure]]:
     runs = by_run(tables)
     yield "goal_ratio", goal_ratio(tables)
     yield "evaluation", evaluation(tables.results)
     yield "spread", spread(tables.configurations)
     yield "exit", exits(tables.metrics, runs)
     yield "steps_to_threshold", steps_to_threshold(runs)
-    yield "map", maps(tables.results, scene, table)
+    if isinstance(task, Rooms):
+        yield "map", maps(tables, task)
     for condition, rows in tables.configurations.groupby("condition", sort=False):
         stem = f"configurations-{condition.replace(', α = ', '-').replace(', ', '-').replace(' = ', '-')}"
         yield stem, configurations(rows, f"{condition}, ", ", all seeds")

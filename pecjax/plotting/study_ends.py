@@ -10,12 +10,12 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pecjax.envs.rooms.config import Configurations
-from pecjax.envs.rooms.scene import Scene
+from pecjax.envs.rooms.settings import Rooms
+from pecjax.envs.task import take_configs
 from pecjax.plotting.maps import success
 from pecjax.plotting.study_curves import INTERVALS, STYLES
 from pecjax.plotting.style import RATIO_LIMITS, steps_unit
-from pecjax.studies.report import THRESHOLDS
+from pecjax.studies.report import THRESHOLDS, StudyTables
 from pecjax.studies.statistics import Interval, interval
 
 
@@ -99,17 +99,19 @@ class _Zone(NamedTuple):
         axes.spines["top"].set_visible(False)
 
 
-def maps(results: pd.DataFrame, scene: Scene, table: Configurations) -> Figure:
-    """The map with the last evaluation's goal ratio of every pair, a panel for each condition."""
-    last = results[results.iteration == results.iteration.max()]
+def maps(tables: StudyTables, task: Rooms) -> Figure:
+    """The first map with the last evaluation's goal ratio of every pair, a panel for each condition."""
+    table, scene = task.configurations(), task.scenes()[0]
+    inside = np.flatnonzero(np.asarray(table.map_id) == 0)
+    last = tables.configurations[tables.configurations.iteration == tables.configurations.iteration.max()]
     by_condition = list(last.groupby("condition", sort=False))
     figure = Figure((4.6 * len(by_condition) + 0.8, 5.0), layout="constrained")
     panels = figure.subplots(1, len(by_condition), sharey=True, squeeze=False)[0]
-    columns = [f"c{config}" for config in range(table.size)]
     shades = []
-    for axes, (condition, rows) in zip(panels, by_condition, strict=True):
-        shades.append(success(axes, scene, table, rows[columns].mean().to_numpy()))
-        axes.set_title(f"{condition}: {rows.goal_ratio.mean():.3f} of all reach the goal", fontsize=9)
+    for axes, (condition, counts) in zip(panels, by_condition, strict=True):
+        ratios = counts.groupby("config").goal_ratio.mean().to_numpy()
+        shades.append(success(axes, scene, take_configs(table, inside), ratios[inside], task))
+        axes.set_title(f"{condition}: {np.nanmean(ratios):.3f} of all reach the goal", fontsize=9)
         axes.label_outer()
     figure.colorbar(shades[0], ax=list(panels), label="goal ratio, mean over seeds", shrink=0.7, extend="min")
     return figure

@@ -14,7 +14,6 @@ from pecjax.storage.files import writing
 
 # Colours that stay apart in grey (Okabe & Ito).
 TRIALS, FAILURES, GOAL, PATH = "#9fb8cc", "#a0330f", "#00573f", "#1f5f99"
-LEARNERS = {"ppo": "PPO", "apex": "Ape-X DQN"}
 SMOOTHED_ITERATIONS = 20  # that a smoothed training goal ratio is the mean of
 RATIO_LIMITS = (-0.02, 1.02)  # of an axis whose marks at 0 and 1 are to be whole
 

@@ -41,11 +41,11 @@ def keep_compiled_programs() -> str:
     return folder
 
 
-def choose_num_devices(wanted: int | None, shares: int) -> int:
+def choose_num_devices(wanted: int | None, device_divisor: int) -> int:
     """How many devices share the work: as wanted, or as many as divide it.
 
     Args:
-        shares: how many equal parts it can be cut into: environments, or the replay's shards.
+        device_divisor: how many equal parts it can be cut into: environments, or the replay's shards.
 
     Raises:
         InputError: fewer than 1 wanted, more than there are, or a number that does not divide.
@@ -56,28 +56,28 @@ def choose_num_devices(wanted: int | None, shares: int) -> int:
         if wanted != available:
             raise InputError(f"devices is {wanted}; the processes have {available}, leave --devices out")
     if wanted is None:
-        return max(d for d in range(1, available + 1) if shares % d == 0)
+        return max(d for d in range(1, available + 1) if device_divisor % d == 0)
     if not 1 <= wanted <= available:
         raise InputError(f"devices is {wanted}; this machine has {available}, give 1 to {available}")
-    if shares % wanted:
+    if device_divisor % wanted:
         raise InputError(
-            f"{shares} environments or replay shards cannot be shared evenly by {wanted} devices; "
+            f"{device_divisor} environments or replay shards cannot be shared evenly by {wanted} devices; "
             "change either"
         )
     return wanted
 
 
-def advice_on_idle_devices(num_envs: int, shares: int, num_devices: int) -> str:
+def advice_on_idle_devices(num_envs: int, device_divisor: int, num_devices: int) -> str:
     """How all devices could be used where the number of equal parts leaves some idle, else nothing.
 
     Args:
-        shares: as in `choose_num_devices`.
+        device_divisor: as in `choose_num_devices`.
     """
     available = len(jax.devices())
-    if num_devices == available or shares % available == 0:
+    if num_devices == available or device_divisor % available == 0:
         return ""
-    if shares != num_envs:
-        return f"; they share the work by its {shares} replay shards"
+    if device_divisor != num_envs:
+        return f"; they share the work by its {device_divisor} replay shards"
     below = num_envs // available * available
     near = [str(number) for number in (below, below + available) if number]
     return f"; --num-envs {' or '.join(near)} would use all of them"

@@ -13,7 +13,6 @@ import os
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -77,17 +76,12 @@ def read_arrays(
     path: Path,
     like: Any,
     about: dict[str, Any] | None = None,
-    former_about: Callable[[Any], Any] = lambda about: about,
-    former_name: Callable[[str], str] = lambda name: name,
 ) -> Any:
     """Reads a tree back, its leaves placed on the devices where those of `like` have a sharding.
 
     Args:
         like: a tree of the same structure, of arrays or their shapes.
         about: what the arrays must belong to, if that matters.
-        former_about: makes of what older versions wrote there what is written today.
-        former_name: the name under which older versions wrote the array of a name that is missing;
-            its integers may have been of another width.
 
     Raises:
         CorruptFileError: the file is corrupt.
@@ -100,26 +94,39 @@ def read_arrays(
             found = _headers(file)
             written = _read_about(file, found)
             if about is not None:
-                differing = list(differences(former_about(written), json.loads(json.dumps(about))))
+                differing = list(differences(written, json.loads(json.dumps(about))))
                 _check(path, file, differing, "belongs to a run that differs in")
             plain = {name: _plain_shape(leaf) for name, leaf in wanted.items()}
-            source = {name: name if name in found else former_name(name) for name in plain}
-            differing = sorted(set(found) ^ set(source.values())) or [
-                name
-                for name, leaf in plain.items()
-                if not _alike(found[source[name]], leaf, source[name] == name)
+            differing = sorted(set(found) ^ set(plain)) or [
+                name for name, leaf in plain.items() if found[name] != (leaf.shape, leaf.dtype)
             ]
             _check(
                 path, file, differing, "was written with other settings or by another version; it differs in"
             )
-            arrays = {
-                name: _read(file, source[name]).astype(leaf.dtype, copy=False) for name, leaf in plain.items()
-            }
+            arrays = {name: _read(file, name) for name in plain}
     except InputError:
         raise
     except _UNREADABLE as error:
         raise CorruptFileError(f"{path}: corrupt ({error})") from error
     return jax.tree.unflatten(structure, [_placed(arrays[name], leaf) for name, leaf in wanted.items()])
+
+
+def read_plain_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Reads back what `write_arrays` wrote of a dictionary of arrays, whatever they are.
+
+    Raises:
+        InputError: there is no such file, or it is corrupt.
+    """
+    try:
+        with path.open("rb") as opened, zipfile.ZipFile(opened) as file:
+            return {_key(name): _read(file, name) for name in _headers(file)}
+    except _UNREADABLE as error:
+        raise InputError(f"{path}: cannot be read ({error}); train again") from error
+
+
+def _key(place: str) -> str:
+    """A dictionary's key from its place in the tree, "['key']"."""
+    return place.removeprefix("['").removesuffix("']")
 
 
 def _headers(file: zipfile.ZipFile) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
@@ -142,11 +149,6 @@ def _headers(file: zipfile.ZipFile) -> dict[str, tuple[tuple[int, ...], np.dtype
             raise ValueError(f"'{part.filename[:60]}' is no array of {shape} {dtype}")
         found[name] = (shape, dtype)
     return found
-
-
-def _alike(header: tuple[tuple[int, ...], np.dtype], leaf: Any, same_name: bool) -> bool:
-    shape, dtype = header
-    return shape == leaf.shape and (dtype == leaf.dtype if same_name else dtype.kind == leaf.dtype.kind)
 
 
 def _read_about(file: zipfile.ZipFile, found: dict[str, Any]) -> Any:

@@ -3,48 +3,52 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
-
+from pecjax.agents import PPO, Apex
+from pecjax.agents.apex.q_network import QNetworkSettings
+from pecjax.agents.apex.replay import ReplaySettings
 from pecjax.agents.networks import NetworkSettings
-from pecjax.agents.q_network import QNetworkSettings
 from pecjax.errors import InputError
 from pecjax.studies.grid import StudySettings
-from pecjax.training.presets import PRESETS, RunSettings
+from pecjax.training.presets import PRESETS
+from pecjax.training.settings import EvaluationSettings, RunSettings, StopSettings, override
 
 SCALES = ("smoke", "laptop", "paper")
 
 _ALPHAS = (0.0, 0.1, 0.2, 0.3, 0.4)
-_FAST = dataclasses.replace(PRESETS["fast"], evaluate_every=15)
-_APEX = dataclasses.replace(PRESETS["apex-fast"], evaluate_every=10)
+_PEC_AND_UNIFORM = ("pec", "uniform")
+_FAST = override(PRESETS["fast"], evaluate_every=15)
+_APEX = override(PRESETS["apex-fast"], evaluate_every=10)
 _SMOKE = dataclasses.replace(
     PRESETS["fast"],
-    ppo=dataclasses.replace(
-        PRESETS["fast"].ppo, num_envs=8, num_steps=32, num_minibatches=2, network=NetworkSettings(hidden=(8,))
-    ),
-    iterations=4,
-    evaluate_every=2,
-    evaluation_episodes=40,
+    agent=PPO(num_envs=8, num_steps=32, num_minibatches=2, network=NetworkSettings(hidden=(8,))),
+    stop=StopSettings(iterations=4),
+    evaluation=EvaluationSettings(every=2, episodes=40),
 )
 _APEX_SMOKE = dataclasses.replace(
-    PRESETS["apex-fast"],
-    apex=dataclasses.replace(
-        PRESETS["apex-fast"].apex,
+    _SMOKE,
+    preset="apex-fast",
+    agent=Apex(
         num_envs=8,
         num_steps=32,
         learning_starts=64,
         batch_size=32,
         network=QNetworkSettings(trunk=(8,), head=8),
-        replay=dataclasses.replace(PRESETS["apex-fast"].apex.replay, capacity=1024),
+        replay=ReplaySettings(capacity=1024),
     ),
-    iterations=4,
-    evaluate_every=2,
-    evaluation_episodes=40,
 )
 
 
-def _study(name: str, run: RunSettings, iterations: int | None, seeds: int, **grid: Any) -> StudySettings:
-    run = dataclasses.replace(run, iterations=iterations or run.iterations)
-    return StudySettings(name, run, seeds=tuple(range(seeds)), **grid)
+def _study(
+    name: str,
+    run: RunSettings,
+    iterations: int | None,
+    seeds: int,
+    coordinates: str = "1",
+    samplers: tuple[str, ...] = _PEC_AND_UNIFORM,
+    alphas: tuple[float, ...] = (0.2,),
+) -> StudySettings:
+    grid = (("task.table", (coordinates,)), ("sampler", samplers), ("sampler.alpha", alphas))
+    return StudySettings(name, override(run, iterations=iterations), grid, tuple(range(seeds)))
 
 
 # Jang & Choi (2022): Fig. 4-7, §5.2; Fig. 8-10, §5.3; Fig. 11-12, §5.4; Fig. 13-14, §5.5.
@@ -55,9 +59,9 @@ STUDIES: dict[str, dict[str, StudySettings]] = {
         "paper": _study("fig4", PRESETS["rllib085"], 1500, 3),
     },
     "fig8": {
-        "smoke": _study("fig8", _SMOKE, None, 2, coordinates=("2",)),
-        "laptop": _study("fig8", _FAST, 450, 10, coordinates=("2",)),
-        "paper": _study("fig8", PRESETS["rllib085"], 5000, 3, coordinates=("2",)),
+        "smoke": _study("fig8", _SMOKE, None, 2, "2"),
+        "laptop": _study("fig8", _FAST, 450, 10, "2"),
+        "paper": _study("fig8", PRESETS["rllib085"], 5000, 3, "2"),
     },
     "fig11": {
         "smoke": _study("fig11", _SMOKE, None, 2, samplers=("pec",), alphas=_ALPHAS),

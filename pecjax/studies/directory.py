@@ -1,9 +1,10 @@
-"""Study directories: finished slices, each whole or absent, and the tables gathered from them."""
+"""Study directories: finished slices, each whole or absent, and the tables merged from them."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import json
 import os
 import shutil
@@ -11,37 +12,36 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from pecjax import settings_tree
-from pecjax.errors import InputError
-from pecjax.training import former_versions
-from pecjax.storage import files
-from pecjax.studies.grid import StudySettings
-from pecjax.runtime.provenance import environment_facts, short_commit
-from pecjax.envs.rooms.mjcf_file import read_mjcf
-from pecjax.envs.configuration_files import table_text
-from pecjax.envs.rooms.config import Configurations, load_coordinates
-from pecjax.envs.rooms.scene import Scene
+import numpy as np
 
-World = tuple[Path, Scene, Configurations]  # of one set of coordinates
-Tables = dict[str, list[files.Row]]  # rows by the name of their table
+from pecjax import settings_tree
+from pecjax.envs.task import TaskSettings
+from pecjax.errors import InputError
+from pecjax.runtime.provenance import environment_facts, short_commit
+from pecjax.storage import files
+from pecjax.storage.arrays import read_plain_arrays
+from pecjax.studies.collect import Collected
+from pecjax.studies.grid import StudySettings
+from pecjax.training import former_versions
+
 _SUMS = "SHA256SUMS"
 _PROVENANCE = "provenance.json"  # of a slice; no times in it: the same code writes the same bytes
 _DIVERGED = "diverged.txt"  # of a slice, where some of its runs are not in its tables
+_CONFIGURATIONS = "configurations.npz"
 
 
 class StudyDirectory:
-    """One study's folder: `study.json`, the world it flies in, `slices/`, and the tables.
+    """One study's folder: `study.json`, the files of its tasks, `slices/`, and the tables.
 
-    The tables are `results.csv` (a row an evaluation), `metrics.csv` (a row an iteration) and
-    `configurations.csv` (trials and failures of each configuration so far, at every evaluation).
+    The tables are `results.csv` (a row an evaluation) and `metrics.csv` (a row an iteration). Trials and
+    failures of each configuration so far, at every evaluation, are arrays in the slices.
     """
 
-    TABLES = ("results", "metrics", "configurations")
+    TABLES = ("results", "metrics")
 
     def __init__(self, folder: Path) -> None:
         """Names the folder; nothing is read or written yet."""
         self.folder = folder
-        self.scene_path = folder / "scene.xml"
         self._slices = folder / "slices"
         self._begun = folder / ".study.json.new"
         self._facts: dict[str, Any] = {}
@@ -55,15 +55,19 @@ class StudyDirectory:
         path = self.folder / "study.json"
         return files.read_settings(path, StudySettings, "study", former_versions.study_settings)
 
-    def table(self, coordinates: str) -> Configurations:
-        """Reads the configurations of one of the study's sets back."""
-        return load_coordinates(self._coordinates_path(coordinates))
+    def task(self, number: int, settings: TaskSettings) -> TaskSettings:
+        """The settings of one of the study's tasks, which read the files kept here.
 
-    def _coordinates_path(self, coordinates: str) -> Path:
-        return self.folder / f"coordinates-{Path(coordinates).stem}.csv"
+        Args:
+            number: its place among the study's tasks, in the order of its runs.
+        """
+        kept = self.folder / f"task-{number}"
+        return settings.kept_in(kept) if kept.is_dir() else former_versions.study_task(settings, self.folder)
 
     @contextlib.contextmanager
-    def open(self, settings: StudySettings, worlds: dict[str, World], num_devices: int) -> Iterator[None]:
+    def open(
+        self, settings: StudySettings, tasks: Sequence[TaskSettings], num_devices: int
+    ) -> Iterator[None]:
         """Begins a study, or makes sure that the folder holds this very one; locks it while entered.
 
         Raises:
@@ -73,9 +77,11 @@ class StudyDirectory:
         """
         self._facts = environment_facts(num_devices)
         content = {"settings": settings_tree.to_json(settings)} | self._facts
-        texts = {"scene.xml": read_mjcf(next(iter(worlds.values()))[0]).text}
-        for coordinates, (_, _, table) in worlds.items():
-            texts[self._coordinates_path(coordinates).name] = table_text(table)
+        texts = {
+            f"task-{number}/{name}": text
+            for number, task in enumerate(tasks)
+            for name, text in task.files().items()
+        }
         self._check_free()  # before the folder is made, which the lock needs
         with files.writing(self.folder, "choose another --out"):
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -97,6 +103,7 @@ class StudyDirectory:
             self._begun.write_text(files.json_text(content))
             self._slices.mkdir(exist_ok=True)
             for name, text in texts.items():
+                (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
                 (self.folder / name).write_text(text)
             os.replace(self._begun, self.folder / "study.json")
 
@@ -149,22 +156,22 @@ class StudyDirectory:
     def _slice_path(self, number: int) -> Path:
         return self._slices / f"{number:04}"
 
-    def write_slice(self, number: int, tables: Tables, diverged: Sequence[str] = ()) -> None:
-        """Writes a finished slice, whole or not at all, and what it was made by.
-
-        Args:
-            tables: of the runs that came to their end.
-            diverged: the others, in words.
-        """
+    def write_slice(self, number: int, collected: Collected) -> None:
+        """Writes a finished slice, whole or not at all, and what it was made by."""
         new = self._slices / f".{number:04}"
         new.mkdir()
-        texts = {f"{name}.csv": files.csv_text(tables[name]) for name in self.TABLES}
-        texts[_PROVENANCE] = files.json_text(self._facts)
-        if diverged:
-            texts[_DIVERGED] = "".join(f"{line}\n" for line in diverged)
-        for name, text in texts.items():
-            (new / name).write_text(text)
-        sums = [f"{hashlib.sha256(text.encode()).hexdigest()}  {name}\n" for name, text in texts.items()]
+        tables = {"results": collected.table("evaluation"), "metrics": collected.table("metrics")}
+        content = {f"{name}.csv": files.csv_text(rows).encode() for name, rows in tables.items()}
+        content[_PROVENANCE] = files.json_text(self._facts).encode()
+        arrays = io.BytesIO()
+        save: Any = np.savez  # whose own arguments no array is named like
+        save(arrays, **collected.configurations())
+        content[_CONFIGURATIONS] = arrays.getvalue()
+        if collected.diverged:
+            content[_DIVERGED] = "".join(f"{line}\n" for line in collected.diverged.values()).encode()
+        for name, bytes_ in content.items():
+            (new / name).write_bytes(bytes_)
+        sums = [f"{hashlib.sha256(bytes_).hexdigest()}  {name}\n" for name, bytes_ in content.items()]
         (new / _SUMS).write_text("".join(sums))
         os.replace(new, self._slice_path(number))
 
@@ -184,14 +191,19 @@ class StudyDirectory:
     def _held(self, number: int) -> list[Path]:
         return [self._slice_path(n) for n in range(number) if self.holds(n)]
 
-    def gather(self, number: int) -> None:
+    def merge_tables(self, number: int) -> None:
         """Writes the tables anew from those of so many slices that are there, in their order."""
         for name in self.TABLES:
             texts = [(path / f"{name}.csv").read_text().partition("\n") for path in self._held(number)]
-            # Coordinate sets of several sizes have as many columns: the longest header serves all.
             header = max((head for head, _, _ in texts), key=len, default="")
             rows = "".join(rows for _, _, rows in texts)
             files.replace_file(self.folder / f"{name}.csv", f"{header}\n{rows}")
+
+
+    def configurations(self, number: int) -> Iterator[tuple[Path, dict[str, np.ndarray]]]:
+        """Of each of so many slices that is there, its folder and what `Collected.configurations` gave."""
+        for path in self._held(number):
+            yield path, read_plain_arrays(path / _CONFIGURATIONS)
 
 
 def _is_whole(path: Path) -> bool:
@@ -202,5 +214,5 @@ def _is_whole(path: Path) -> bool:
         found = {name: hashlib.sha256((path / name).read_bytes()).hexdigest() for name in sums}
     except (OSError, ValueError):
         return False
-    tables = {f"{name}.csv" for name in StudyDirectory.TABLES}
-    return found == sums and tables <= set(sums) <= tables | {_PROVENANCE, _DIVERGED}
+    needed = {f"{name}.csv" for name in StudyDirectory.TABLES} | {_CONFIGURATIONS}
+    return found == sums and needed <= set(sums) <= needed | {_PROVENANCE, _DIVERGED}

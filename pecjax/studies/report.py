@@ -19,10 +19,10 @@ from pecjax.studies.statistics import (
     paired_difference,
     sign_flip_p,
     steps_to_exit,
-    steps_until,
+    steps_to_threshold,
     trial_and_failure_ratios,
 )
-from pecjax.training.samplers import label
+from pecjax.training.kinds import label
 from pecjax.studies.directory import StudyDirectory
 
 THRESHOLDS = (0.9, 0.95)
@@ -53,10 +53,13 @@ def read_study(folder: Path) -> StudyTables:
     Raises:
         InputError: there are none, or two runs in them cannot be told apart.
     """
-    alphas = StudyDirectory(folder).settings().alphas
+    directory = StudyDirectory(folder)
+    settings = directory.settings()
+    alphas = settings.values_of("sampler.alpha")
     in_full = {float(f"{alpha:.7g}"): alpha for alpha in alphas}  # older versions wrote 7 digits
     in_full |= {alpha: alpha for alpha in alphas}
-    found = {name: read_table(folder / f"{name}.csv", columns) for name, columns in _COLUMNS.items()}
+    found = {name: read_table(folder / f"{name}.csv", _COLUMNS[name]) for name in ("results", "metrics")}
+    found["configurations"] = _configurations(directory, len(settings.slices()), found["results"])
     for name, table in found.items():
         table["alpha"] = [in_full.get(alpha, alpha) for alpha in table.alpha]
         varied = ["alpha", *varied_columns(table)]
@@ -76,10 +79,46 @@ def read_study(folder: Path) -> StudyTables:
     return StudyTables(**found)
 
 
+def _configurations(directory: StudyDirectory, slices: int, results: pd.DataFrame) -> pd.DataFrame:
+    """A row of trials, failures and goal ratio for every run, evaluation and configuration."""
+    of_version_0_1 = directory.folder / "configurations.csv"
+    if of_version_0_1.is_file():
+        return _with_ratios(read_table(of_version_0_1, _COLUMNS["configurations"]), results)
+    parts = []
+    for path, arrays in directory.configurations(slices):
+        if not arrays["trials"].size:  # every run of it diverged
+            continue
+        of_slice = read_table(path / "results.csv", _COLUMNS["results"])
+        heads = of_slice.loc[:, : "iteration"].drop(columns="iteration").drop_duplicates(ignore_index=True)
+        for (_, head), trials, failures, ratios in zip(
+            heads.iterrows(), arrays["trials"], arrays["failures"], arrays["goal_ratio"], strict=True
+        ):
+            evaluations, configs = trials.shape
+            counts = {
+                "iteration": np.repeat(arrays["iteration"], configs),
+                "config": np.tile(np.arange(configs), evaluations),
+                "trials": trials.ravel(),
+                "failures": failures.ravel(),
+                "goal_ratio": ratios.ravel(),
+            }
+            parts.append(pd.DataFrame(head.to_dict() | counts))
+    return pd.concat(parts, ignore_index=True)
+
+
+def _with_ratios(counts: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
+    """The goal ratios, which version 0.1 kept as columns c0, c1, … of its results."""
+    head = list(results.loc[:, :"iteration"].columns)
+    ratios = results.melt(head, results.filter(regex=r"^c\d+$").columns, "config", "goal_ratio_")
+    ratios["config"] = ratios.config.str.removeprefix("c").astype(int)
+    return counts.merge(ratios, "left", [*head, "config"]).rename(columns={"goal_ratio_": "goal_ratio"})
+
+
 def varied_columns(table: pd.DataFrame) -> list[str]:
     """The columns of settings that a study varies by their dotted paths."""
     return [
-        name for name in table.columns if name.partition(".")[0] in ("sampler", "ppo", "apex") and "." in name
+        name
+        for name in table.columns
+        if name.partition(".")[0] in ("sampler", "agent", "task", "ppo", "apex") and "." in name
     ]
 
 
@@ -113,7 +152,7 @@ def by_run(tables: StudyTables) -> pd.DataFrame:
             "cvar_area_under_curve": area_under_curve(steps, run.cvar.to_numpy()),
         }
         for at in THRESHOLDS:
-            row[f"steps_until_{at:g}"] = steps_until(steps, ratios, at)
+            row[f"steps_until_{at:g}"] = steps_to_threshold(steps, ratios, at)
             row[f"exit_at_{at:g}"] = steps_to_exit(
                 training.env_steps.to_numpy(), training.goal_ratio.to_numpy(), at
             )

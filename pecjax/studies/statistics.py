@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-WORST = 0.1  # the share of the flown configurations that CVaR averages
+from pecjax.training.rows import cvar as cvar
+
 PATIENCE = 5  # evaluations, or iterations, in a row that count as held
 RESAMPLES = 2000
 
@@ -22,24 +23,7 @@ class Interval(NamedTuple):
     high: float
 
 
-def cvar(ratios: np.ndarray) -> np.ndarray:
-    """CVaR-10 %: the mean over the worst tenth of the configurations that were flown.
-
-    Args:
-        ratios: (…, N) goal ratios, NaN where a configuration was not flown.
-
-    Returns:
-        (…) the mean of the lowest round(F / 10), at least one, of the F ratios that are numbers in a
-        row; NaN in a row that has none.
-    """
-    flown = np.isfinite(ratios).sum(axis=-1)
-    number = np.maximum(1, np.rint(WORST * flown))
-    worst = np.arange(ratios.shape[-1]) < number[..., None]
-    total = np.sum(np.sort(ratios, axis=-1), axis=-1, where=worst)  # NaN sorts last
-    return total / number
-
-
-def first_held(ratios: np.ndarray, threshold: float) -> int | None:
+def first_sustained(ratios: np.ndarray, threshold: float) -> int | None:
     """The place at which the first `PATIENCE` figures in a row at the threshold or above begin."""
     reached = ratios >= threshold
     for first in range(len(reached) - PATIENCE + 1):
@@ -48,15 +32,15 @@ def first_held(ratios: np.ndarray, threshold: float) -> int | None:
     return None
 
 
-def steps_until(steps: np.ndarray, ratios: np.ndarray, threshold: float) -> float:
+def steps_to_threshold(steps: np.ndarray, ratios: np.ndarray, threshold: float) -> float:
     """Environment steps at the first of `PATIENCE` figures in a row that hold it; inf if none do."""
-    first = first_held(ratios, threshold)
+    first = first_sustained(ratios, threshold)
     return float("inf") if first is None else float(steps[first])
 
 
 def steps_to_exit(steps: np.ndarray, ratios: np.ndarray, threshold: float) -> float:
     """Environment steps at the last of them, where the paper's exit condition ends a training."""
-    first = first_held(ratios, threshold)
+    first = first_sustained(ratios, threshold)
     return float("inf") if first is None else float(steps[first + PATIENCE - 1])
 
 

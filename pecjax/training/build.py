@@ -1,121 +1,74 @@
-"""Assembly: world, curriculum and learner put together as the settings say."""
+"""Build: task, sampler and agent put together as the settings say."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-from jax.sharding import Mesh, NamedSharding
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from pecjax.agents import apex, ppo
-from pecjax.agents.agent import AXIS, Agent, TrainState, fleet_mesh, placement, shard
+from pecjax.agents import AXIS, Agent, TrainState, device_mesh, shard
+from pecjax.agents.observations import num_values
+from pecjax.agents.sharding import placement
 from pecjax.curriculum import Sampler
-from pecjax.envs.rooms.config import Configurations, load_coordinates
-from pecjax.envs.rooms.navigation import RoomsNavigation
-from pecjax.envs.rooms.scene import Scene, default_scene_path, load_scene
-from pecjax.envs.rooms.validity import check_coordinates
+from pecjax.envs.task import Task, World, num_configs
 from pecjax.runtime.devices import check_memory
-from pecjax.training import evaluation
-from pecjax.training.limits import image_bytes
-from pecjax.training.presets import RunSettings, check_settings
+from pecjax.training.settings import RunSettings, check_settings
 
 
 class Run(NamedTuple):
-    """What a run is built from."""
+    """What a run is built from; its world is on all devices of the mesh."""
 
-    env: RoomsNavigation
-    table: Configurations
+    task: Task
+    world: World
     sampler: Sampler
     agent: Agent
     mesh: Mesh
 
-
-def load_world(settings: RunSettings) -> tuple[Path, Scene, Configurations]:
-    """The map's file, the map and the coordinates, checked against one another and the task.
-
-    `pecjax check`, trainings and studies all read their world here, and so agree about it.
-
-    Raises:
-        InputError: a file that is not there or is wrong, a timestep that does not fit, or pairs that
-            cannot be flown.
-    """
-    scene_path = Path(settings.scene) if settings.scene is not None else default_scene_path()
-    table = load_coordinates(settings.coordinates)
-    scene = load_scene(scene_path, settings.resolution)
-    flight_height = RoomsNavigation(scene, table).settings.flight_height
-    check_coordinates(scene, table, flight_height=flight_height, source=settings.coordinates)
-    return scene_path, scene, table
+    @property
+    def num_configs(self) -> int:
+        """N, the number of configurations."""
+        return num_configs(self.world.table)
 
 
-def make_agent(
-    settings: RunSettings,
-    env: RoomsNavigation,
-    table: Configurations,
-    sampler: Sampler,
-    axis_name: str | None = None,
-) -> Agent:
-    """The learner that the settings name.
-
-    Raises:
-        InputError: settings that do not fit one another.
-    """
-    if settings.algorithm == "apex":
-        return apex.make(env, table, sampler, settings.apex, axis_name)
-    return ppo.make(env, table, sampler, settings.ppo, axis_name)
-
-
-def build(
-    settings: RunSettings, scene: Scene, table: Configurations, num_devices: int, *, trains: bool = True
-) -> Run:
-    """Puts world, curriculum and learner together, spread over devices.
+def build(settings: RunSettings, num_devices: int, *, trains: bool = True) -> Run:
+    """Puts task, sampler and agent together, spread over devices.
 
     Args:
-        trains: makes sure that memory can hold replay and images; a policy that is only flown needs neither.
+        trains: makes sure that memory can hold replay and observations; a policy that is only flown
+            needs neither.
 
     Raises:
-        InputError: settings that are absurd or do not fit one another, or images or a replay that
-            memory cannot hold.
+        InputError: settings that are absurd or do not fit one another, a world that is wrong, or
+            observations or a replay that memory cannot hold.
     """
     check_settings(settings)
-    env = RoomsNavigation(scene, table)
-    sampler = settings.sampler.make(table.size)
-    mesh = fleet_mesh(num_devices)
-    agent = make_agent(settings, env, table, sampler, AXIS)
+    task, world = settings.task.make()
+    sampler = settings.sampler.make(num_configs(world.table))
+    mesh = device_mesh(num_devices)
+    agent = settings.agent.make(task, sampler, AXIS)
     if trains:
         check_memory(agent.replay_bytes, num_devices)
-        images = image_bytes(settings, scene.camera)
-        check_memory(images, num_devices, "the depth images of an iteration take")
-    return Run(env, table, sampler, shard(agent, mesh), mesh)
+        held = observation_bytes(task, settings.agent.observations_held)
+        check_memory(held, num_devices, "the observations of an iteration take")
+    return Run(task, everywhere(world, mesh), sampler, shard(agent, mesh), mesh)
+
+
+def everywhere(world: World, mesh: Mesh) -> World:
+    """The world on every device of the mesh."""
+    return jax.device_put(world, NamedSharding(mesh, PartitionSpec()))
+
+
+def observation_bytes(task: Task, number: int) -> int:
+    """What so many observations take."""
+    return 4 * num_values(task.observation_space) * number
 
 
 def abstract_state(run: Run) -> TrainState:
     """Shapes and placement of a TrainState's arrays, without making any of them."""
-    state = jax.eval_shape(run.agent.init, jax.random.key(0))
+    state = jax.eval_shape(run.agent.init, jax.random.key(0), run.world)
 
     def placed(part: Any, place: NamedSharding) -> Any:
         return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=place), part)
 
     return TrainState(*map(placed, state, placement(run.mesh)))
-
-
-def compile_evaluator(
-    run: Run, settings: RunSettings, learner: Any
-) -> Callable[[Any], evaluation.EvalResult]:
-    """The run's evaluation as a compiled program, learner -> flights.
-
-    Raises:
-        InputError: more episodes than memory holds the images of.
-    """
-    images = image_bytes(settings, run.env.scene.camera, settings.evaluation_episodes)
-    check_memory(images, run.mesh.devices.size, "the depth images of an evaluation take")
-    return evaluation.make_evaluator(
-        run.env,
-        run.table,
-        run.agent,
-        run.mesh,
-        episodes=settings.evaluation_episodes,
-        greedy=settings.greedy,
-        seed=settings.evaluation_seed,
-    )(learner)

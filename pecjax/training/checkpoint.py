@@ -7,11 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pecjax.agents.agent import TrainState
+from pecjax.agents import TrainState
 from pecjax.errors import InputError
 from pecjax.runtime.distributed import primary_only
 from pecjax.storage.arrays import CorruptFileError, read_arrays, write_arrays
-from pecjax.training import former_versions
 
 KEPT_STATES = 2  # the newest, and one to fall back on
 
@@ -20,39 +19,35 @@ class ResumeState(NamedTuple):
     """Where a training stands: all that it needs to go on as if it had never stopped.
 
     Attributes:
-        state: of world, curriculum and learner.
-        iteration: how many are done.
-        counts: (2, N) int64, trials and failures since the beginning.
-        held: iterations in a row that have held the goal ratio to stop at.
+        state: of environments, sampler and learner.
+        iteration: how many iterations are done.
+        patience_count: iterations in a row that have held the goal ratio to stop at.
         seconds: spent so far, compilation apart.
     """
 
     state: TrainState
     iteration: np.ndarray
-    counts: np.ndarray
-    held: np.ndarray
+    patience_count: np.ndarray
     seconds: np.ndarray
 
     @classmethod
-    def make(
-        cls, state: TrainState, iteration: int, counts: np.ndarray, held: int, seconds: float
-    ) -> ResumeState:
-        """A position, its numbers as arrays."""
-        return cls(state, np.array(iteration), counts, np.array(held), np.array(seconds))
+    def make(cls, state: TrainState, iteration: int, patience_count: int, seconds: float) -> ResumeState:
+        """The same with its numbers as arrays."""
+        return cls(state, np.array(iteration), np.array(patience_count), np.array(seconds))
 
 
 class Checkpoints:
     """The checkpoints of one run folder.
 
     Every evaluated learner is kept, in `checkpoints`, so that policies can be had and compared; of
-    whole positions, which may be large, only the newest, in `states`.
+    whole states to resume from, which may be large, only the newest, in `states`.
     """
 
     def __init__(self, folder: Path, about: dict[str, Any] | None = None) -> None:
         """Names the folders, which are made with the first checkpoint.
 
         Args:
-            about: what a position must belong to for a training to go on from it.
+            about: what a state must belong to for a training to resume from it.
         """
         self._about = about
         self._learners = folder / "checkpoints"
@@ -62,9 +57,9 @@ class Checkpoints:
         """Keeps the learner after `iteration` iterations."""
         write_arrays(_path(self._learners, iteration), learner)
 
-    def save_position(self, here: ResumeState) -> None:
-        """Keeps where a training stands, and forgets what is older than the one before."""
-        write_arrays(_path(self._states, int(here.iteration)), here, self._about)
+    def save_state(self, state: ResumeState) -> None:
+        """Keeps a state to resume from, and removes what is older than the one before."""
+        write_arrays(_path(self._states, int(state.iteration)), state, self._about)
         self._prune()
 
     @primary_only
@@ -93,7 +88,7 @@ class Checkpoints:
             like: a learner of the same structure, of arrays or their shapes.
 
         Raises:
-            InputError: there is no such checkpoint, or it is broken.
+            InputError: there is no such checkpoint, or it is corrupt.
         """
         there = self.iterations()
         if not there:
@@ -107,21 +102,20 @@ class Checkpoints:
         except CorruptFileError as error:
             raise InputError(f"{error}; choose another with --checkpoint") from error
 
-    def load_position(self, like: ResumeState) -> tuple[ResumeState, list[str]]:
-        """The newest whole position, and what was said of broken ones on the way to it.
+    def load_state(self, like: ResumeState) -> tuple[ResumeState, list[str]]:
+        """The newest whole state to resume from, and warnings of corrupt ones on the way to it.
 
         Raises:
             InputError: there is none, or it is of other settings.
         """
-        said = []
+        warnings = []
         for iteration in reversed(_iterations(self._states)):
             try:
                 path = _path(self._states, iteration)
-                former = former_versions.about, former_versions.array_name
-                return read_arrays(path, like, self._about, *former), said
+                return read_arrays(path, like, self._about), warnings
             except CorruptFileError as error:
-                said.append(f"{error}; falling back to the one before")
-        reason = "; ".join(said) or "no state to go on from"
+                warnings.append(f"{error}; falling back to the one before")
+        reason = "; ".join(warnings) or "no state to resume from"
         raise InputError(f"{self._states}: {reason}; train anew in another folder")
 
 

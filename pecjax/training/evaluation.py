@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from pecjax.agents.agent import AXIS, Agent
-from pecjax.agents.rollout import env_keys
-from pecjax.envs.rooms.config import Configurations
-from pecjax.envs.rooms.navigation import RoomsNavigation, flight_state
+from pecjax.agents import AXIS, Agent
+from pecjax.agents.episodes import begin, go_on, reset_where
+from pecjax.agents.sharding import env_keys
+from pecjax.envs.task import Task, World, num_configs, take_configs
 
 
 class EvalResult(NamedTuple):
@@ -21,16 +21,19 @@ class EvalResult(NamedTuple):
 
     Attributes:
         config_id: (E,) int.
-        goal: (E,) bool, whether the goal was reached.
+        success: (E,) bool, whether it ended in success.
         returns: (E,) sum of rewards.
         lengths: (E,) int, actions taken.
-        paths: (E, T + 1, 2) m, positions seen from above; past its end a path stands still.
+        metrics: (E,) each, the task's metrics over the episode.
+        paths: (E, T + 1, 2) m, positions seen from above, past its end where it ended; None of a task
+            that has none.
     """
 
     config_id: Any
-    goal: Any
+    success: Any
     returns: Any
     lengths: Any
+    metrics: dict[str, Any]
     paths: Any
 
 
@@ -44,67 +47,64 @@ def stratified_config_ids(num_configs: int, episodes: int, seed: int) -> np.ndar
 
 
 def make_flyer(
-    env: RoomsNavigation, table: Configurations, agent: Agent, *, greedy: bool, seed: int
-) -> Callable[[Any, jax.Array, jax.Array], EvalResult]:
+    task: Task, agent: Agent, *, greedy: bool, seed: int
+) -> Callable[[Any, World, jax.Array, jax.Array], EvalResult]:
     """Sets the conditions under which policies can be compared.
 
-    Its `fly` takes a learner and, for each of E episodes, configuration and number, and returns
+    Its `fly` takes a learner, a world and, for each of E episodes, configuration and number, and returns
     `EvalResult`; it can be jitted, vmapped over learners and sharded over episodes.
 
     Args:
         greedy: takes the likeliest action at every step; else draws, as training does.
-        seed: of headings and drawn actions: two policies with one seed fly the same episodes.
+        seed: of resets and drawn actions: two policies with one seed fly the same episodes.
     """
 
-    def fly(learner: Any, config_id: jax.Array, episode: jax.Array) -> EvalResult:
+    def fly(learner: Any, world: World, config_id: jax.Array, episode: jax.Array) -> EvalResult:
         keys = env_keys(jax.random.key(seed), episode)
-        headings = jax.vmap(lambda k: jax.random.uniform(k, minval=-jnp.pi, maxval=jnp.pi))(keys)
-        rows = jax.tree.map(lambda leaf: jnp.asarray(leaf)[config_id], table)
-        return run_episodes(env, agent.policy(learner, greedy), rows, headings, keys, config_id)
+        return run_episodes(task, world, agent.policy(learner, greedy), keys, config_id)
 
     return fly
 
 
 def make_evaluator(
-    env: RoomsNavigation,
-    table: Configurations,
+    task: Task,
     agent: Agent,
     mesh: Mesh,
     *,
     episodes: int,
     greedy: bool,
     seed: int,
-) -> Callable[[Any], Callable[[Any], EvalResult]]:
+) -> Callable[[Any, World], Callable[[Any, World], EvalResult]]:
     """Sets E episodes, an even draw, shared by the mesh's devices.
 
-    Its `compile` takes a learner (arrays or their shapes) and returns fly(learner) -> `EvalResult` of
-    numpy arrays.
+    Its `compile` takes a learner (arrays or their shapes) and a world, and returns
+    fly(learner, world) -> `EvalResult` of numpy arrays; another world of the same shapes compiles nothing.
 
     Args:
         greedy, seed: of `make_flyer`.
     """
     devices = mesh.devices.size
-    config_id = stratified_config_ids(table.size, episodes, seed)
-    padded = np.resize(config_id, -(-episodes // devices) * devices)
     spread = PartitionSpec(AXIS)
     program = jax.jit(
         jax.shard_map(
-            make_flyer(env, table, agent, greedy=greedy, seed=seed),
+            make_flyer(task, agent, greedy=greedy, seed=seed),
             mesh=mesh,
-            in_specs=(PartitionSpec(), spread, spread),
+            in_specs=(PartitionSpec(), PartitionSpec(), spread, spread),
             out_specs=spread,
             check_vma=False,
         ),
         out_shardings=NamedSharding(mesh, PartitionSpec()),  # each process has all of them
     )
 
-    def compile_for(learner: Any) -> Callable[[Any], EvalResult]:
+    def compile_for(learner: Any, world: World) -> Callable[[Any, World], EvalResult]:
+        config_id = stratified_config_ids(num_configs(world.table), episodes, seed)
+        padded = np.resize(config_id, -(-episodes // devices) * devices)
         numbers = np.arange(padded.size, dtype=np.int32)
-        compiled = program.lower(learner, padded, numbers).compile()
+        compiled = program.lower(learner, world, padded, numbers).compile()
 
-        def evaluate(learner: Any) -> EvalResult:
-            flights = compiled(learner, padded, numbers)
-            return EvalResult(*(np.asarray(leaf)[:episodes] for leaf in flights))
+        def evaluate(learner: Any, world: World) -> EvalResult:
+            flights = compiled(learner, world, padded, numbers)
+            return jax.tree.map(lambda leaf: np.asarray(leaf)[:episodes], flights)
 
         return evaluate
 
@@ -112,46 +112,55 @@ def make_evaluator(
 
 
 def run_episodes(
-    env: RoomsNavigation,
+    task: Task,
+    world: World,
     act: Callable[[Any, jax.Array], jax.Array],
-    configs: Configurations,
-    headings: jax.Array,
     keys: jax.Array,
     config_id: jax.Array,
 ) -> EvalResult:
-    """Flies one episode per row of `configs`, all side by side, until the last has ended."""
-    limit = env.settings.max_steps
-    start = jax.vmap(env.observe)(jax.vmap(env.place)(configs, headings))
-    number = headings.shape[0]
-    paths = jnp.zeros((limit + 1, number, 2)).at[0].set(configs.start)
+    """Flies one episode per key (E,) and configuration (E,), all side by side, until the last has ended."""
+    limit, number = task.max_steps, config_id.shape[0]
+    shared = (0, 0, None)
+    reset, observe = jax.vmap(task.reset, shared), jax.vmap(task.observe, shared)
+    start = reset(keys, take_configs(world.table, config_id), world.params)
+    position = jax.vmap(task.position)(start)
+    paths = None if position is None else jnp.zeros((limit + 1, number, 2)).at[0].set(position)
+    running = begin(config_id, task.metrics)
+    nothing = {name: jnp.zeros(number) for name in task.metrics}
+    none = jnp.zeros(number, bool)
 
-    def running(carry: tuple) -> jax.Array:
-        time, state, *_ = carry
-        return (time < limit) & jnp.any(state.done == 0)
+    def are_running(carry: tuple) -> jax.Array:
+        time, _, _, done, *_ = carry
+        return (time < limit) & ~jnp.all(done)
 
     def step(carry: tuple) -> tuple:
-        time, state, returns, paths = carry
-        actions = jax.vmap(act)(state.obs, jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, time))
-        flown = jax.vmap(env.step)(state, actions)
-        over = state.done.astype(bool)
+        time, state, running, done, success, metrics, paths = carry
+        now = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, time)
+        # The action's draws are those of `now`; the task's are of keys of their own.
+        of_task = jax.vmap(lambda key: jax.random.split(key, 2), out_axes=1)(now)
+        actions = jax.vmap(act)(observe(of_task[0], state, world.params), now)
+        after = jax.vmap(task.step, (0, 0, 0, None))(of_task[1], state, actions, world.params)
+        further, episodes = go_on(running, after, task.metrics)
+        state, running, success, metrics = reset_where(
+            done,
+            (state, running, success, metrics),
+            (after.state, further, after.success, episodes.metrics),
+        )
+        if paths is not None:
+            paths = paths.at[time + 1].set(jax.vmap(task.position)(state))
+        return time + 1, state, running, done | episodes.outcomes.done, success, metrics, paths
 
-        def keep(old: jax.Array, new: jax.Array) -> jax.Array:
-            return jnp.where(over.reshape(-1, *[1] * (old.ndim - 1)), old, new)
-
-        returns = returns + jnp.where(over, 0.0, flown.reward)
-        state = jax.tree.map(keep, state, flown)
-        return time + 1, state, returns, paths.at[time + 1].set(flight_state(state).qpos[:, :2])
-
-    time, state, returns, paths = jax.lax.while_loop(running, step, (0, start, jnp.zeros(number), paths))
-    last = flight_state(state).qpos[:, :2]
-    paths = jnp.where(jnp.arange(limit + 1)[:, None, None] > time, last, paths)
-    return EvalResult(
-        config_id, state.metrics["goal"] > 0, returns, flight_state(state).step_count, paths.swapaxes(0, 1)
+    time, state, running, _, success, metrics, paths = jax.lax.while_loop(
+        are_running, step, (jnp.int32(0), start, running, none, none, nothing, paths)
     )
+    if paths is not None:
+        beyond = jnp.arange(limit + 1)[:, None, None] > time
+        paths = jnp.where(beyond, jax.vmap(task.position)(state), paths).swapaxes(0, 1)
+    return EvalResult(config_id, success, running.episode_return, running.length, metrics, paths)
 
 
-def goal_ratios(flights: EvalResult, num_configs: int) -> np.ndarray:
-    """Goal ratio (N,) of each configuration, NaN where none of its episodes were flown."""
-    flown = np.bincount(flights.config_id, minlength=num_configs)
-    reached = np.bincount(flights.config_id, weights=flights.goal, minlength=num_configs)
+def success_by_config(config_id: np.ndarray, success: np.ndarray, num_configs: int) -> np.ndarray:
+    """Share of successes (N,) of each configuration, NaN where none of its episodes (E,) were flown."""
+    flown = np.bincount(config_id, minlength=num_configs)
+    reached = np.bincount(config_id, weights=success, minlength=num_configs)
     return np.where(flown > 0, reached / np.maximum(flown, 1), np.nan)

@@ -2,53 +2,94 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 
 from pecjax import settings_tree
+from pecjax.agents import PPO, Apex
+from pecjax.curriculum import PEC
+from pecjax.envs.rooms.settings import Rooms
+from pecjax.envs.task import TaskSettings
 from pecjax.errors import InputError
-from pecjax.training.samplers import has_alpha, make_sampler
+from pecjax.training.kinds import has_alpha, make_kind
 
-
-def array_name(name: str) -> str:
-    """Where the position of a former run holds what is now under `name`.
-
-    The first version 0.1 had the configuration and the counters of an episode in Brax's `info`, and
-    uniform sampling kept no counts; a position has those of the whole training.
-    """
-    if name == ".state.sampler.numbers['alpha']":
-        return ".state.sampler.alpha"
-    if name == ".state.sampler.counts":
-        return ".counts"
-    return re.sub(r"\.pipeline_state\.(config|step_count|standing_count)", r".info['\1']", name)
-
-
-def about(content: Any) -> Any:
-    """What the arrays of a position belong to."""
-    if not isinstance(content, Mapping):
-        return content
-    return {**content, "settings": run_settings(content.get("settings"))}
+FILES = ("scene.xml", "coordinates.csv")  # of a run's task, which version 0.1 did not list
+_AGENTS = {"ppo": PPO, "apex": Apex}
+_AGENT_PATH = re.compile(r"^(ppo|apex)\.")
+_RENAMED = {"clip": "clip_epsilon", "fragment": "rollout_length", "huber": "huber_delta"}
 
 
 def run_settings(content: Any) -> Any:
-    """A run's settings: once they had the sampler's name and, whether it had one or not, an α."""
-    if not isinstance(content, Mapping) or isinstance(content.get("sampler"), Mapping):
+    """A run's settings: version 0.1 had those of map, evaluation and end at the top, and both learners'."""
+    if not isinstance(content, Mapping) or "algorithm" not in content:
         return content
-    rest = {name: value for name, value in content.items() if name != "alpha"}
+    agent = str(content["algorithm"])
+    if agent not in _AGENTS:
+        raise InputError(f"unknown algorithm '{agent}'; choose one of {', '.join(_AGENTS)}")
+    numbers: dict[str, Any] = content.get(agent, {})
+    task: dict[str, Any] = {"table": content.get("coordinates", "1"), "resolution": content.get("resolution")}
+    if content.get("scene") is not None:
+        task["maps"] = [content["scene"]]
+    return {
+        "task": _kind(Rooms, task),
+        "sampler": _sampler(content),
+        "agent": _kind(_AGENTS[agent], {_RENAMED.get(n, n): value for n, value in numbers.items()}),
+        "evaluation": {
+            name: content[former]
+            for name, former in {
+                "every": "evaluate_every",
+                "episodes": "evaluation_episodes",
+                "seed": "evaluation_seed",
+                "greedy": "greedy",
+            }.items()
+            if former in content
+        },
+        "stop": _taken(content, "iterations", "until_goal_ratio", "patience"),
+        **_taken(content, "preset", "seed", "configurations_every"),
+    }
+
+
+def _taken(content: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    return {name: content[name] for name in names if name in content}
+
+
+def _kind(kind: type, content: Mapping[str, Any]) -> dict[str, Any]:
+    return {settings_tree.KIND: settings_tree.address(kind), **content}
+
+
+def _sampler(content: Mapping[str, Any]) -> Any:
+    """Its settings; once there were only its name and, whether it had one or not, an α."""
+    sampler = content.get("sampler", "pec")
+    if isinstance(sampler, Mapping):
+        return sampler
     try:
-        sampler = make_sampler(str(content.get("sampler", "pec")))
+        made = make_kind("sampler", str(sampler))
     except InputError:
-        return content  # as wrong as it was
-    numbers = settings_tree.to_json(sampler)
-    if has_alpha(sampler):
+        return sampler  # as wrong as it was
+    numbers = settings_tree.to_json(made)
+    if has_alpha(made):
         numbers["alpha"] = content.get("alpha", numbers["alpha"])
-    kind = {settings_tree.KIND: settings_tree.address(type(sampler))}
-    return rest | {"sampler": kind | numbers}
+    return _kind(type(made), numbers)
+
+
+def study_task(task: TaskSettings, folder: Path) -> TaskSettings:
+    """A task of a study of version 0.1, which kept its files under other names."""
+    table = folder / f"coordinates-{Path(getattr(task, 'table', '')).stem}.csv"
+    return dataclasses.replace(cast(Rooms, task), table=str(table), maps=(str(folder / FILES[0]),))
 
 
 def study_settings(content: Any) -> Any:
-    """A study's settings, with those that its runs share."""
-    if not isinstance(content, Mapping):
+    """A study's settings; once samplers, α and coordinates were no part of its grid."""
+    if not isinstance(content, Mapping) or "samplers" not in content:
         return content
-    return {"grid": [], **content, "run": run_settings(content.get("run"))}
+    grid = [
+        ["task.table", content.get("coordinates", ["1"])],
+        ["sampler", content["samplers"]],
+        ["sampler.alpha", content.get("alphas", [PEC().alpha])],
+        *([_AGENT_PATH.sub("agent.", path), values] for path, values in content.get("grid", [])),
+    ]
+    rest = {name: content[name] for name in ("name", "seeds", "at_once") if name in content}
+    return rest | {"grid": grid, "run": run_settings(content.get("run"))}

@@ -1,4 +1,4 @@
-"""Amounts: how much a run's settings may ask for, which may come from a stranger's config.json."""
+"""Limits: how much a run's settings may ask for, which may come from a stranger's config.json."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from pecjax import settings_tree
-from pecjax.envs.rooms.vehicle import MAX_PIXELS, Camera
 from pecjax.errors import InputError
 
 MAX_EPISODES = 100_000  # of one evaluation: each keeps its whole path
@@ -19,20 +18,21 @@ MOST = {
     "num_minibatches": 2**20,
     "num_actors": 2**20,
     "num_shards": 2**12,
-    "fragment": 2**16,
+    "rollout_length": 2**16,
     "n_step": 2**12,
     "batch_size": 2**24,
     "capacity": 2**36,  # more than memory holds, which `devices.check_memory` knows
     "hidden": 2**14,
     "trunk": 2**14,
     "head": 2**14,
-    "evaluation_episodes": MAX_EPISODES,
+    "episodes": MAX_EPISODES,
+    "max_steps": 10**6,
 }
 MAX_LAYERS = 32
 MAX_BATCH = 2**28  # steps that all environments take in an iteration
 
 
-def check_amounts(settings: Any) -> None:
+def check_limits(settings: Any) -> None:
     """Makes sure that no number of a RunSettings is beyond what any run needs.
 
     What the machine's memory holds is another matter (see `devices.check_memory`).
@@ -45,29 +45,20 @@ def check_amounts(settings: Any) -> None:
         if not abs(value) <= most:
             most = f"{most:,} is the most" if isinstance(value, int) else "it must be finite"
             raise InputError(f"{name.replace('_', '-')} is {str(value)[:30]}; {most}")
-    for layers in (settings.ppo.network.hidden, settings.apex.network.trunk):
+    for path, layers in settings_tree.leaves(settings.agent):
+        if path.rpartition(".")[2] not in ("hidden", "trunk"):
+            continue
         if len(layers) > MAX_LAYERS or any(width < 1 for width in layers):
             raise InputError(
                 f"a network has {len(layers)} layers, {str(layers)[:60]} wide; it may have {MAX_LAYERS}, "
                 "each at least 1 wide"
             )
-    learner = settings.learner
-    if learner.num_envs * learner.num_steps > MAX_BATCH:
+    agent = settings.agent
+    if agent.num_envs * agent.num_steps > MAX_BATCH:
         raise InputError(
-            f"{learner.num_envs:,} environments of {learner.num_steps:,} steps are more than "
+            f"{agent.num_envs:,} environments of {agent.num_steps:,} steps are more than "
             f"{MAX_BATCH:,} steps an iteration; use fewer of either"
         )
-    if settings.resolution is not None:
-        width, height = settings.resolution
-        if min(width, height) < 1 or width * height > MAX_PIXELS:
-            raise InputError(f"resolution is {width}×{height}; 1 to {MAX_PIXELS:,} pixels are possible")
-
-
-def image_bytes(settings: Any, camera: Camera, episodes: int = 0) -> int:
-    """What the depth images take that are held at once: a batch's, or those of so many episodes."""
-    learner = settings.learner
-    rows = learner.fragment if settings.algorithm == "apex" else learner.num_steps
-    return 4 * camera.height * camera.width * (episodes or learner.num_envs * rows)
 
 
 def _numbers(settings: Any) -> Iterator[tuple[str, int | float]]:

@@ -1,28 +1,22 @@
-"""The host's loop: one iteration after the other, and what is written of each."""
+"""The host's loop, for one run or several: one iteration after the other, and who is told of each."""
 
 from __future__ import annotations
 
 import contextlib
-import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from pecjax.agents.agent import Metrics, TrainState
-from pecjax.errors import DivergedError, StoppedError
-from pecjax.runtime.distributed import greatest
-from pecjax.runtime.signals import Interruption
-from pecjax.training import rows as tables
-from pecjax.training.build import Run, compile_evaluator
-from pecjax.training.checkpoint import Checkpoints, ResumeState
-from pecjax.training.presets import RunSettings
-from pecjax.training.progress import Progress
-from pecjax.training.run_directory import RunDirectory
-
-Iterate = Callable[[TrainState], tuple[TrainState, Metrics]]
+from pecjax.agents import TrainState
+from pecjax.storage.files import Row
+from pecjax.training.program import Program
+from pecjax.training.rows import configuration_arrays, episode_arrays, evaluation_row, metrics_row
+from pecjax.training.settings import RunSettings, StopSettings
+from pecjax.training.sinks import Sink
 
 
 class Clock:
@@ -46,117 +40,130 @@ class Clock:
         self.compile_seconds += time.perf_counter() - begun
 
 
-class Session(NamedTuple):
-    """A training in one process, from its start or from where it goes on, to its end or a stop."""
+class Position(NamedTuple):
+    """Where the loop stands.
 
-    settings: RunSettings
-    run: Run
-    directory: RunDirectory
-    progress: Progress
-    interruption: Interruption
-    clock: Clock
+    Attributes:
+        state: of all runs.
+        iteration: how many are done.
+        patience_count: iterations in a row that have held the goal ratio to stop at.
+    """
+
+    state: TrainState
+    iteration: int = 0
+    patience_count: int = 0
+
+
+class Ending(NamedTuple):
+    """How the loop ended, or how it stands.
+
+    Attributes:
+        position: where.
+        finished: whether it is at its end; else it was asked to stop, or every run has diverged.
+        metrics, evaluation: rows of each run after the last iteration; no evaluation if none was due.
+    """
+
+    position: Position
+    finished: bool
+    metrics: list[Row]
+    evaluation: list[Row]
+
+
+@dataclass(frozen=True)
+class Hooks:
+    """What the loop asks of whoever runs it.
+
+    Attributes:
+        diverged: (run, iteration, names of what is not finite); it may raise, else the others go on.
+        saved: (how it stands), after an evaluation or before a stop, once all sinks know of it.
+        asked: whether to stop.
+        lookahead: how many iterations are enqueued before the host looks at the first: the devices then
+            never wait for it.
+    """
+
+    diverged: Callable[[int, int, list[str]], None]
+    saved: Callable[[Ending], None] = lambda standing: None
+    asked: Callable[[], bool] = lambda: False
+    lookahead: int = 1
 
 
 def is_evaluated(settings: RunSettings, iteration: int) -> bool:
     """Whether an iteration is followed by an evaluation, even if it is not the last."""
-    return iteration % settings.evaluate_every == 0
+    return iteration % settings.evaluation.every == 0
 
 
 def is_counted(settings: RunSettings, iteration: int) -> bool:
-    """Whether an iteration has rows in configurations.csv, even if it is not the last."""
+    """Whether an iteration has a file in `configurations/`, even if it is not the last."""
     return iteration == 1 or iteration % settings.configurations_every == 0
 
 
-def streak(goal_ratios: Sequence[float], threshold: float | None) -> int:
-    """How many of the last training goal ratios in a row reach the threshold; 0 where it is None."""
+def streak(goal_ratios: Sequence[float], stop: StopSettings) -> int:
+    """How many of the last training goal ratios in a row reach the one to stop at; 0 where there is none."""
+    threshold = stop.until_goal_ratio
     missed = [threshold is None or not ratio >= threshold for ratio in reversed(goal_ratios)]
     return missed.index(True) if True in missed else len(missed)
 
 
-def loop(session: Session, here: ResumeState, iterate: Iterate) -> dict[str, Any]:
-    """Iterates from a position to the end, and returns the content of summary.json.
+def run_loop(program: Program, start: Position, settings: RunSettings, sink: Sink, hooks: Hooks) -> Ending:
+    """Iterates to the end: the settings' iterations, or a goal ratio that was held long enough.
 
-    A checkpoint comes last of all that belongs to its iteration: what the tables have up to there,
-    a training that goes on from it has too.
-
-    Raises:
-        StoppedError: a signal asked for it.
-        DivergedError: a figure that is not finite.
+    Only a single run can stop at a goal ratio.
     """
-    settings, run, directory, progress, interruption, clock = session
-    checkpoints = Checkpoints(directory.folder, directory.identity())
-    probabilities = jax.jit(run.sampler.probabilities)
-    state, iteration, counts, held = here.state, int(here.iteration), here.counts, int(here.held)
-    saved = iteration
-    evaluate = None
+    state, iteration, held = start
+    going_on = set(range(program.num_runs))
+    last_metrics: list[Row] = []
+
     while True:
-        iteration += 1
-        state, metrics = iterate(state)
-        metrics = jax.device_get(metrics)
-        _check_finite(metrics, iteration, saved, directory)
-        counts = counts + metrics.counts
-        row = tables.metrics_row(iteration, run.agent.steps_per_iteration, clock.seconds(), metrics)
-        directory.append("metrics.csv", [row])
-        held = held + 1 if streak([row["goal_ratio"]], settings.until_goal_ratio) else 0
-        last = iteration == settings.iterations or held == settings.patience
+        # Only enqueued: the devices do not wait for the host meanwhile.
+        enqueued = []
+        for _ in range(_stretch(settings, iteration, hooks.lookahead)):
+            state, metrics = program.iterate(state)
+            enqueued.append(metrics)
+        for metrics in jax.device_get(enqueued):
+            iteration += 1
+            for run in sorted(going_on):
+                if names := _of_run(metrics, run).non_finite:
+                    going_on.remove(run)
+                    hooks.diverged(run, iteration, names)
+            steps = iteration * program.steps_per_iteration
+            last_metrics = [metrics_row(iteration, steps, one) for one in _by_run(program, metrics)]
+            sink.rows("metrics", last_metrics)
+        held = held + 1 if streak([last_metrics[0]["goal_ratio"]], settings.stop) else 0
+        last = iteration == settings.stop.iterations or held == settings.stop.patience
         if last or is_counted(settings, iteration):
-            drawn_with = np.asarray(probabilities(state.sampler))
-            directory.append("configurations.csv", tables.configuration_rows(iteration, counts, drawn_with))
-        evaluated = {}
+            found = zip(program.counts(state), program.probabilities(state), strict=True)
+            arrays = [configuration_arrays(*of_run) for of_run in found]
+            sink.arrays("configurations", iteration, arrays)
+        evaluation: list[Row] = []
         if last or is_evaluated(settings, iteration):
-            if evaluate is None:
-                with clock.compiling():
-                    evaluate = compile_evaluator(run, settings, state.learner)
-            flights = evaluate(state.learner)
-            evaluated = tables.evaluation_row(iteration, row["env_steps"], flights, run.table.size)
-            directory.append("evaluation.csv", [evaluated])
-            if last:
-                directory.append("trajectories.csv", tables.path_rows(flights, run.table.size))
-            checkpoints.save_learner(iteration, state.learner)
-            progress.say(
-                f"iteration {iteration}: goal ratio {evaluated['goal_ratio']:.3f} over {len(flights.goal)} "
-                f"{'greedy' if settings.greedy else 'sampled'} episodes of a uniform draw"
-            )
-        rate = row["env_steps"] / clock.seconds()
-        ended = int(metrics.reported[0])
-        ratio = f"{row['goal_ratio']:.3f} of {ended} episode(s)" if ended else "not known yet"
-        progress.advance(1, f"training goal ratio {ratio}, {rate:,.0f} steps/s")
-        asked = greatest(interruption.asked or 0)
-        summary = _summary(settings, row, evaluated, clock) if last else {}
-        if last:
-            directory.write_json("summary.json", summary)
-        if evaluated or asked:
-            checkpoints.save_position(ResumeState.make(state, iteration, counts, held, clock.seconds()))
-            saved = iteration
-        if last:
-            return summary
-        if asked:
-            command = f"pecjax train --resume --out {directory.folder}"
-            raise StoppedError(
-                f"stopped after iteration {iteration}; go on with {command}", signal.Signals(asked)
-            )
+            flights = _by_run(program, program.evaluate(state))
+            steps = iteration * program.steps_per_iteration
+            evaluation = [evaluation_row(iteration, steps, one, program.num_configs) for one in flights]
+            episodes = [episode_arrays(one, with_paths=last) for one in flights]
+            sink.rows("evaluation", evaluation)
+            sink.arrays("episodes", iteration, episodes)
+        asked = hooks.asked()
+        standing = Ending(Position(state, iteration, held), last, last_metrics, evaluation)
+        if evaluation or asked:
+            hooks.saved(standing)
+        if last or asked or not going_on:
+            return standing
 
 
-def _check_finite(metrics: Metrics, iteration: int, saved: int, directory: RunDirectory) -> None:
-    if metrics.non_finite:
-        good = f"iteration {saved} is the last good checkpoint" if saved else "there is no checkpoint yet"
-        names = ", ".join(metrics.non_finite)
-        raise DivergedError(f"{directory.folder}: at iteration {iteration} not finite: {names}; {good}")
+def _stretch(settings: RunSettings, iteration: int, lookahead: int) -> int:
+    """How many iterations there are until the host has something to do, or so many if there are fewer."""
+    number = 1
+    while number < lookahead:
+        after = iteration + number
+        if after == settings.stop.iterations or is_evaluated(settings, after) or is_counted(settings, after):
+            break
+        number += 1
+    return number
 
 
-def _summary(settings: RunSettings, row: tables.Row, evaluated: tables.Row, clock: Clock) -> dict[str, Any]:
-    seconds = clock.seconds()
-    return {
-        "iterations": row["iteration"],
-        "env_steps": row["env_steps"],
-        "seconds": round(seconds, 2),
-        "compile_seconds": round(clock.compile_seconds, 2),
-        "steps_per_second": round(row["env_steps"] / seconds, 1),
-        "training_goal_ratio": row["goal_ratio"],
-        "uniform_evaluation": {
-            "episodes": settings.evaluation_episodes,
-            "greedy": settings.greedy,
-            "goal_ratio": evaluated["goal_ratio"],
-            "mean_return": evaluated["mean_return"],
-        },
-    }
+def _of_run(tree: Any, run: int) -> Any:
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[run], tree)
+
+
+def _by_run(program: Program, tree: Any) -> list[Any]:
+    return [_of_run(tree, run) for run in range(program.num_runs)]

@@ -1,8 +1,10 @@
-"""The program of a study: several runs side by side, vmapped and sharded over devices."""
+"""Programs: what the host's loop runs, for one run over all devices or for several side by side."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NamedTuple
 
 import jax
@@ -10,34 +12,124 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import PartitionSpec
 
-from pecjax.agents.agent import AXIS, Metrics, TrainState, fleet_mesh
-from pecjax.envs.rooms.config import Configurations
-from pecjax.envs.rooms.navigation import RoomsNavigation
-from pecjax.envs.rooms.scene import Scene
+from pecjax.agents import AXIS, Metrics, TrainState, device_mesh
+from pecjax.envs.task import Task, World, num_configs
 from pecjax.runtime.devices import check_memory, choose_num_devices
-from pecjax.training.build import make_agent
-from pecjax.training.evaluation import EvalResult, make_flyer, stratified_config_ids
-from pecjax.training.presets import RunSettings
+from pecjax.training.build import Run, abstract_state, everywhere, observation_bytes
+from pecjax.training.evaluation import EvalResult, make_evaluator, make_flyer, stratified_config_ids
+from pecjax.training.settings import RunSettings
+
+Iterate = Callable[[TrainState], tuple[TrainState, Metrics]]
 
 
 class Program(NamedTuple):
-    """K runs; every leaf of every argument and result has a leading axis K.
+    """K runs; metrics, flights and probabilities have a leading axis K.
 
     Attributes:
-        init: (seeds, numbers of the sampler by name) -> states.
-        iterate: (states) -> (states, metrics).
-        evaluate: (learners) -> flights, without their paths.
-        steps_per_iteration: of each run.
+        num_runs: K.
+        num_configs: N.
+        steps_per_iteration: environment steps of each run.
+        iterate: (state) -> (state, metrics); it takes the place of the state it is given.
+        evaluate: (state) -> flights; compiled when it is first called.
+        counts: (state) -> (K, 2, N), trials and failures since the beginning.
+        probabilities: (state) -> (K, N), what the samplers draw by.
     """
 
-    init: Callable[[np.ndarray, dict[str, np.ndarray]], TrainState]
-    iterate: Callable[[TrainState], tuple[TrainState, Metrics]]
-    evaluate: Callable[[Any], EvalResult]
+    num_runs: int
+    num_configs: int
     steps_per_iteration: int
+    iterate: Iterate
+    evaluate: Callable[[TrainState], EvalResult]
+    counts: Callable[[TrainState], np.ndarray]
+    probabilities: Callable[[TrainState], np.ndarray]
 
 
-def make_program(settings: RunSettings, scene: Scene, table: Configurations, runs: int) -> Program:
-    """Makes the program that trains so many runs, which differ in seed and in numbers of their sampler.
+def one_run(
+    run: Run,
+    settings: RunSettings,
+    iterate: Iterate,
+    compiling: Callable[[], AbstractContextManager[None]] = nullcontext,
+) -> Program:
+    """The program of one run, whose environments are spread over the run's mesh.
+
+    Args:
+        iterate: of `compile_iteration`.
+        compiling: entered while the evaluation is compiled.
+    """
+    compiled: list[Callable[[Any, World], EvalResult]] = []
+
+    def evaluate(state: TrainState) -> EvalResult:
+        if not compiled:
+            with compiling():
+                compiled.append(compile_evaluator(run, settings, state.learner))
+        return _leading(compiled[0](state.learner, run.world))
+
+    def with_axis(state: TrainState) -> tuple[TrainState, Metrics]:
+        state, metrics = iterate(state)
+        return state, _leading(jax.device_get(metrics))
+
+    probabilities = jax.jit(run.sampler.probabilities)
+    return Program(
+        1,
+        run.num_configs,
+        run.agent.steps_per_iteration,
+        with_axis,
+        evaluate,
+        lambda state: np.asarray(state.counts)[None],
+        lambda state: np.asarray(probabilities(state.sampler))[None],
+    )
+
+
+def _leading(tree: Any) -> Any:
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[None], tree)
+
+
+def start(run: Run, seed: int) -> tuple[TrainState, Iterate]:
+    """The first state and the compiled iteration, the one prepared while the other compiles."""
+    key = jax.random.key(seed)
+    init = jax.jit(run.agent.init).lower(key, run.world)
+    with ThreadPoolExecutor(1) as aside:
+        state = aside.submit(lambda: init.compile()(key, run.world))
+        iterate = compile_iteration(run)
+        return state.result(), iterate
+
+
+def compile_iteration(run: Run) -> Iterate:
+    """The iteration as a compiled program; it takes the place of the state it is given."""
+    traced = jax.jit(run.agent.iterate, donate_argnums=0).trace(abstract_state(run), run.world)
+    compiled = traced.lower().compile()
+    return lambda state: compiled(state, run.world)
+
+
+def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable[[Any, World], EvalResult]:
+    """The run's evaluation as a compiled program, (learner, world) -> flights.
+
+    Raises:
+        InputError: more episodes than memory holds the observations or the paths of.
+    """
+    about, devices = settings.evaluation, run.mesh.devices.size
+    seen = observation_bytes(run.task, about.episodes)
+    check_memory(seen, devices, "the observations of an evaluation take")
+    check_memory(8 * (run.task.max_steps + 1) * about.episodes, devices, "the paths of an evaluation take")
+    return make_evaluator(
+        run.task, run.agent, run.mesh, episodes=about.episodes, greedy=about.greedy, seed=about.seed
+    )(learner, run.world)
+
+
+class StudyProgram(NamedTuple):
+    """A program of K runs before it begins.
+
+    Attributes:
+        begin: (seeds, numbers of the sampler by name) -> their first state.
+        program: the rest.
+    """
+
+    begin: Callable[[Sequence[int], Mapping[str, Sequence[float]]], TrainState]
+    program: Program
+
+
+def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> StudyProgram:
+    """The program that trains so many runs, which differ in seed and in numbers of their sampler.
 
     Every device has whole runs to itself, so devices never wait for one another within an
     iteration, and a run is what it would be on one device alone.
@@ -45,26 +137,55 @@ def make_program(settings: RunSettings, scene: Scene, table: Configurations, run
     Raises:
         InputError: settings that do not fit one another, or replays that memory cannot hold.
     """
-    env = RoomsNavigation(scene, table)
     devices = choose_num_devices(None, runs)
-    mesh = fleet_mesh(devices)
-
-    agent = make_agent(settings, env, table, settings.sampler.make(table.size))
+    mesh = device_mesh(devices)
+    sampler = settings.sampler.make(num_configs(world.table))
+    agent = settings.agent.make(task, sampler)
     check_memory(agent.replay_bytes * runs, devices)
-    fly = make_flyer(env, table, agent, greedy=settings.greedy, seed=settings.evaluation_seed)
-    config_id = stratified_config_ids(table.size, settings.evaluation_episodes, settings.evaluation_seed)
+    world, about = everywhere(world, mesh), settings.evaluation
+    fly = make_flyer(task, agent, greedy=about.greedy, seed=about.seed)
+    config_id = stratified_config_ids(num_configs(world.table), about.episodes, about.seed)
 
-    def init(seed: jax.Array, numbers: dict[str, jax.Array]) -> TrainState:
-        return agent.init(jax.random.key(seed), numbers)
+    def init(world: World, seed: jax.Array, numbers: dict[str, jax.Array]) -> TrainState:
+        return agent.init(jax.random.key(seed), world, numbers)
 
-    def evaluate(learner: Any) -> EvalResult:
-        return fly(learner, jnp.asarray(config_id), jnp.arange(config_id.size))._replace(paths=None)
+    def iterate(world: World, state: TrainState) -> tuple[TrainState, Metrics]:
+        return agent.iterate(state, world)
+
+    def evaluate(world: World, learner: Any) -> EvalResult:
+        flights = fly(learner, world, jnp.asarray(config_id), jnp.arange(config_id.size))
+        return flights._replace(paths=None)
 
     def spread(one: Callable, **options: Any) -> Callable:
+        """`one` for each run, the world being the same for all."""
         spec = PartitionSpec(AXIS)
-        many = jax.shard_map(jax.vmap(one), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
-        return jax.jit(many, **options)
 
-    # The numbers are in the sampler's state, so one `iterate` serves all.
-    iterate = spread(agent.iterate, donate_argnums=0)
-    return Program(spread(init), iterate, spread(evaluate), agent.steps_per_iteration)
+        def many(world: World, *of_runs: Any) -> Any:
+            return jax.vmap(lambda *of_run: one(world, *of_run))(*of_runs)
+
+        def sharded(world: World, *of_runs: Any) -> Any:
+            specs = (PartitionSpec(), *[spec] * len(of_runs))
+            return jax.shard_map(many, mesh=mesh, in_specs=specs, out_specs=spec, check_vma=False)(
+                world, *of_runs
+            )
+
+        program = jax.jit(sharded, **options)
+        return lambda *of_runs: program(world, *of_runs)
+
+    probabilities = jax.jit(jax.vmap(sampler.probabilities))
+    evaluate_all, init_all = spread(evaluate), spread(init)
+    return StudyProgram(
+        lambda seeds, numbers: init_all(
+            np.asarray(seeds, np.int32), {name: np.asarray(v, np.float32) for name, v in numbers.items()}
+        ),
+        Program(
+            runs,
+            num_configs(world.table),
+            agent.steps_per_iteration,
+            # The numbers are in the sampler's state, so one `iterate` serves all.
+            spread(iterate, donate_argnums=1),
+            lambda state: jax.device_get(evaluate_all(state.learner)),
+            lambda state: np.asarray(state.counts),
+            lambda state: np.asarray(probabilities(state.sampler)),
+        ),
+    )

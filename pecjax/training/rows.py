@@ -1,66 +1,95 @@
-"""Tables: the rows of a run's CSV files."""
+"""Rows: the figures of an iteration or an evaluation, as tables have them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
-from pecjax.agents.agent import Metrics
+from pecjax.agents import Metrics
 from pecjax.storage.files import Row
-from pecjax.training.evaluation import EvalResult, goal_ratios
+from pecjax.training.evaluation import EvalResult, success_by_config
 
-DRAWN_FLIGHTS = 2  # of each configuration, kept in trajectories.csv
+WORST = 0.1  # the share of the flown configurations that CVaR averages
+DRAWN_FLIGHTS = 2  # of each configuration, whose paths are kept
+MOST_DRAWN_FLIGHTS = 100
 
 
-def metrics_row(iteration: int, batch: int, seconds: float, metrics: Metrics) -> Row:
-    """One row of metrics.csv, for an iteration of `batch` environment steps."""
-    trials = int(np.asarray(metrics.counts)[0].sum())
+def metrics_row(iteration: int, env_steps: int, metrics: Metrics) -> Row:
+    """One row of metrics.csv; the task's metrics are means over the episodes that ended."""
+    episodes = int(metrics.episodes)
     reported, failures = np.asarray(metrics.reported).tolist()
-
-    def mean(total: float) -> float:
-        return total / trials if trials else float("nan")
-
-    return {
-        "iteration": iteration,
-        "env_steps": iteration * batch,
-        "seconds": round(seconds, 3),
-        "goal_ratio": (reported - failures) / reported if reported else float("nan"),
-        "episodes": trials,
-        "mean_return": mean(float(metrics.return_sum)),
-        "mean_length": mean(float(metrics.length_sum)),
-        "unstable": int(metrics.unstable),
-    } | {name: float(value) for name, value in metrics.losses.items()}
-
-
-def configuration_rows(iteration: int, counts: np.ndarray, probabilities: np.ndarray) -> Iterator[Row]:
-    """The rows of configurations.csv for one iteration, from the counts (2, N) so far."""
-    for config, (trials, failures) in enumerate(counts.T):
-        yield {
-            "iteration": iteration,
-            "config": config,
-            "trials": trials,
-            "failures": failures,
-            "probability": probabilities[config],
-        }
-
-
-def evaluation_row(iteration: int, env_steps: int, flights: EvalResult, num_configs: int) -> Row:
-    """One row of evaluation.csv; column c3 is the goal ratio of configuration 3."""
-    ratios = goal_ratios(flights, num_configs)
+    ended = episodes or float("nan")
+    means = {name: float(total) / ended for name, total in metrics.sums.items()}
     return {
         "iteration": iteration,
         "env_steps": env_steps,
-        "goal_ratio": float(flights.goal.mean()),
+        "goal_ratio": (reported - failures) / reported if reported else float("nan"),
+        "episodes": episodes,
+        "mean_return": means.pop("return"),
+        "mean_length": means.pop("length"),
+        **means,
+        **{name: float(value) for name, value in metrics.losses.items()},
+    }
+
+
+def evaluation_row(iteration: int, env_steps: int, flights: EvalResult, num_configs: int) -> Row:
+    """One row of evaluation.csv; `cvar` is the CVaR-10 % over the configurations flown."""
+    return {
+        "iteration": iteration,
+        "env_steps": env_steps,
+        "goal_ratio": float(flights.success.mean()),
+        "cvar": float(cvar(success_by_config(flights.config_id, flights.success, num_configs))),
         "mean_return": float(flights.returns.mean()),
-    } | {f"c{config}": ratio for config, ratio in enumerate(ratios)}
+        "mean_length": float(flights.lengths.mean()),
+    } | {name: float(value.mean()) for name, value in sorted(flights.metrics.items())}
 
 
-def path_rows(flights: EvalResult, num_configs: int) -> Iterator[Row]:
-    """The rows of trajectories.csv: some flights of each configuration, step by step."""
-    for config in range(num_configs):
-        for episode in np.flatnonzero(flights.config_id == config)[:DRAWN_FLIGHTS]:
-            path = flights.paths[episode, : flights.lengths[episode] + 1]
-            for step, (x, y) in enumerate(path):
-                goal = int(flights.goal[episode])
-                yield {"episode": episode, "config": config, "goal": goal, "step": step, "x": x, "y": y}
+def cvar(ratios: np.ndarray) -> np.ndarray:
+    """CVaR-10 %: the mean over the worst tenth of the configurations that were flown.
+
+    Args:
+        ratios: (…, N) goal ratios, NaN where a configuration was not flown.
+
+    Returns:
+        (…) the mean of the lowest round(F / 10), at least one, of the F ratios that are numbers in a
+        row; NaN in a row that has none.
+    """
+    flown = np.isfinite(ratios).sum(axis=-1)
+    number = np.maximum(1, np.rint(WORST * flown))
+    worst = np.arange(ratios.shape[-1]) < number[..., None]
+    total = np.sum(np.sort(ratios, axis=-1), axis=-1, where=worst)  # NaN sorts last
+    return total / number
+
+
+def configuration_arrays(counts: np.ndarray, probabilities: np.ndarray) -> dict[str, np.ndarray]:
+    """What is kept of all configurations at an iteration, (N,) each.
+
+    Args:
+        counts: (2, N), trials and failures since the beginning.
+    """
+    return {"trials": counts[0], "failures": counts[1], "probability": probabilities}
+
+
+def episode_arrays(flights: EvalResult, with_paths: bool) -> dict[str, Any]:
+    """What is kept of an evaluation's episodes, (E,) each.
+
+    Args:
+        with_paths: keeps the `paths` (F, L, 2) of some of them too, and which they are, `path_episode`
+            (F,).
+    """
+    kept = {"config_id": flights.config_id, "success": flights.success, "return": flights.returns}
+    kept |= {"length": flights.lengths, **flights.metrics}
+    if with_paths and flights.paths is not None:
+        chosen = _some_of_each(flights.config_id)
+        longest = int(flights.lengths[chosen].max()) + 1
+        kept |= {"path_episode": chosen, "paths": flights.paths[chosen, :longest]}
+    return kept
+
+
+def _some_of_each(config_id: np.ndarray) -> np.ndarray:
+    """Episodes by configuration, the first few of each."""
+    order = np.argsort(config_id, kind="stable")
+    ids = config_id[order]
+    place = np.arange(len(ids)) - np.searchsorted(ids, ids)
+    return order[place < DRAWN_FLIGHTS][:MOST_DRAWN_FLIGHTS]

@@ -1,4 +1,4 @@
-"""Run directories: the plain files that a run leaves behind, and how to read them again."""
+"""Run directories: the files that a run leaves behind, and how to read them again."""
 
 from __future__ import annotations
 
@@ -9,49 +9,46 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pecjax import settings_tree
-from pecjax.envs.configuration_files import table_text
-from pecjax.envs.rooms.config import Configurations, load_coordinates
-from pecjax.envs.rooms.mjcf_file import read_mjcf
+from pecjax.envs.task import TaskSettings
 from pecjax.errors import InputError
 from pecjax.runtime.distributed import primary_only
 from pecjax.runtime.provenance import FACTS, session_facts
 from pecjax.storage import files
+from pecjax.storage.arrays import read_plain_arrays, write_arrays
 from pecjax.training import former_versions
-from pecjax.training.presets import RunSettings
-
-HOW_LONG = ("iterations", "until_goal_ratio", "patience")  # settings that no iteration depends on
+from pecjax.training.settings import RunSettings
 
 
 class RunDirectory:
     """One run's folder. Tables grow row by row and are on disk after each.
 
-    Where several processes share a training, the lead writes and all read.
+    Where several processes share a training, the first writes and all read.
     """
 
     def __init__(self, folder: Path) -> None:
         """Names the folder; nothing is read or written yet."""
         self.folder = folder
-        self.scene_path = folder / "scene.xml"
 
     @primary_only
-    def create(
-        self, settings: RunSettings, scene_path: Path, table: Configurations, num_devices: int
-    ) -> None:
-        """Writes what the run depends on: settings, map and coordinates.
+    def create(self, settings: RunSettings, num_devices: int) -> None:
+        """Writes what the run depends on: settings, and the files that its task reads.
 
         Raises:
             InputError: another run or study has begun in the folder, or it cannot be written.
         """
-        scene = read_mjcf(scene_path).text
+        kept = settings.task.files()
         with files.writing(self.folder, "choose another --out"):
             self.folder.mkdir(parents=True, exist_ok=True)
             with files.alone(self.folder):  # whoever else begins here at this moment is refused
                 files.check_free(self.folder)
                 (self.folder / "figures").mkdir()
-                self.scene_path.write_text(scene)
-                (self.folder / "coordinates.csv").write_text(table_text(table))
-                self.record(settings, num_devices)
+                for name, text in kept.items():
+                    (self.folder / name).parent.mkdir(exist_ok=True)
+                    (self.folder / name).write_text(text)
+                self.record(settings, num_devices, kept=[*kept])
 
     def settings(self) -> RunSettings:
         """Reads the settings back.
@@ -62,9 +59,9 @@ class RunDirectory:
         path = self.folder / "config.json"
         return files.read_settings(path, RunSettings, "run", former_versions.run_settings)
 
-    def table(self) -> Configurations:
-        """Reads the configurations back."""
-        return load_coordinates(self.folder / "coordinates.csv")
+    def task(self) -> TaskSettings:
+        """The settings of the run's task, which read the files kept here."""
+        return self.settings().task.kept_in(self.folder)
 
     @primary_only
     def append(self, name: str, rows: Iterable[files.Row]) -> None:
@@ -125,15 +122,48 @@ class RunDirectory:
         """Writes one JSON object."""
         files.replace_file(self.folder / name, files.json_text(content))
 
+    def arrays(self, name: str, iteration: int) -> dict[str, np.ndarray]:
+        """What `write` has kept of that name and iteration.
+
+        Raises:
+            InputError: there is none, or it is corrupt.
+        """
+        return read_plain_arrays(self._array_path(name, iteration))
+
+    def iterations(self, name: str) -> list[int]:
+        """The iterations at which arrays of that name were kept, rising."""
+        return sorted(int(path.stem) for path in (self.folder / name).glob("*.npz") if path.stem.isdigit())
+
     @primary_only
-    def record(self, settings: RunSettings, num_devices: int, from_iteration: int = 0) -> None:
-        """Writes config.json: the settings, the facts when the run began, and one more session."""
+    def write_arrays(self, name: str, iteration: int, arrays: dict[str, Any]) -> None:
+        """Keeps arrays under a name and an iteration."""
+        write_arrays(self._array_path(name, iteration), arrays)
+
+    @primary_only
+    def remove_arrays(self, name: str, keep: Callable[[int], bool]) -> None:
+        """Keeps only the arrays of those iterations that are wanted."""
+        for iteration in self.iterations(name):
+            if not keep(iteration):
+                self._array_path(name, iteration).unlink()
+
+    def _array_path(self, name: str, iteration: int) -> Path:
+        return self.folder / name / f"{iteration}.npz"
+
+    @primary_only
+    def record(
+        self, settings: RunSettings, num_devices: int, from_iteration: int = 0, kept: Iterable[str] = ()
+    ) -> None:
+        """Writes config.json: the settings, the facts when the run began, and one more session.
+
+        Args:
+            kept: the names of the task's files, where the run begins.
+        """
         session = session_facts(num_devices, from_iteration)
-        facts = {name: session[name] for name in FACTS}
+        facts: dict[str, Any] = {"files": [*kept]} | {name: session[name] for name in FACTS}
         sessions = []
         if from_iteration:
             before = self._config()
-            facts = {name: before.get(name) for name in FACTS}
+            facts = {name: before.get(name) for name in ("files", *FACTS)}
             sessions = _sessions(before)
         config = {"settings": settings_tree.to_json(settings)} | facts | {"sessions": [*sessions, session]}
         self.write_json("config.json", config)
@@ -153,11 +183,12 @@ class RunDirectory:
         return list(settings_tree.differences(_what_matters(self.settings()), _what_matters(settings)))
 
     def identity(self) -> dict[str, Any]:
-        """All that an iteration depends on: settings, map, coordinates and version."""
+        """All that an iteration depends on: settings, the task's files and version."""
+        names = self._config().get("files") or former_versions.FILES
+        found = {name: self.folder / name for name in names if (self.folder / name).is_file()}
         return {
             "settings": _what_matters(self.settings()),
-            "scene.xml": hashlib.sha256(self.scene_path.read_bytes()).hexdigest(),
-            "coordinates.csv": hashlib.sha256((self.folder / "coordinates.csv").read_bytes()).hexdigest(),
+            "files": {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in found.items()},
             "version": importlib.metadata.version("pecjax"),
         }
 
@@ -179,4 +210,4 @@ def _place(path: Path, header: list[str], column: str) -> int:
 def _what_matters(settings: RunSettings) -> dict[str, Any]:
     """Settings that iterations depend on."""
     content = settings_tree.to_json(settings)
-    return {name: value for name, value in content.items() if name not in HOW_LONG}
+    return {name: value for name, value in content.items() if name != "stop"}

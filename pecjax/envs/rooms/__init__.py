@@ -1,5 +1,6 @@
-"""The world: scene, coordinates, flight, depth and the navigation task."""
+"""The rooms: maps, drone, flight, depth camera and the task of flying to a goal."""
 
+from pecjax.envs.rooms.brax_env import RoomsNavigation as RoomsNavigation
 from pecjax.envs.rooms.config import (
     COORDINATE_SET_1 as COORDINATE_SET_1,
     COORDINATE_SET_2 as COORDINATE_SET_2,
@@ -8,9 +9,7 @@ from pecjax.envs.rooms.config import (
 )
 from pecjax.envs.rooms.depth import depth_image as depth_image
 from pecjax.envs.rooms.flight import ControllerGains as ControllerGains
-from pecjax.envs.rooms.navigation import (
-    NavigationSettings as NavigationSettings,
-    RoomsNavigation as RoomsNavigation,
-)
 from pecjax.envs.rooms.scene import Scene as Scene, load_scene as load_scene
+from pecjax.envs.rooms.settings import Rooms as Rooms
+from pecjax.envs.rooms.task import NavigationSettings as NavigationSettings, RoomsTask as RoomsTask
 from pecjax.envs.rooms.validity import check_coordinates as check_coordinates

@@ -5,12 +5,12 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from pecjax.envs.rooms.scene import Scene
+from pecjax.envs.rooms.maps import Walls
 
 _UNROLLED_WALLS = 16  # walls tested in one fused loop over the points
 
 
-def wall_distance(scene: Scene, points: jax.Array) -> jax.Array:
+def wall_distance(walls: Walls, points: jax.Array) -> jax.Array:
     """Distance (…,) m from points (…, 3) m to the nearest wall, 0 inside one.
 
     A sphere of radius r around a point touches a wall where this is at most r.
@@ -25,6 +25,6 @@ def wall_distance(scene: Scene, points: jax.Array) -> jax.Array:
         ]
         return jnp.minimum(best, beyond[0] ** 2 + beyond[1] ** 2 + beyond[2] ** 2), None
 
-    walls = (jnp.asarray(scene.wall_lower, points.dtype), jnp.asarray(scene.wall_upper, points.dtype))
+    corners = (jnp.asarray(walls.lower, points.dtype), jnp.asarray(walls.upper, points.dtype))
     furthest = jnp.full(points.shape[:-1], jnp.inf, points.dtype)
-    return jnp.sqrt(jax.lax.scan(nearer, furthest, walls, unroll=_UNROLLED_WALLS)[0])
+    return jnp.sqrt(jax.lax.scan(nearer, furthest, corners, unroll=_UNROLLED_WALLS)[0])

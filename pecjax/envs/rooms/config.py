@@ -1,18 +1,18 @@
-"""Coordinates: the paper's two sets, and tables of configurations from files."""
+"""Configurations of the rooms: their axes, the paper's two sets, and tables from files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-import jax
 import numpy as np
 from flax import struct
 
-from pecjax.envs.axes import axes_of, axis
+from pecjax.envs.axes import axis, fill
 from pecjax.envs.configuration_files import line_of, read_table
 from pecjax.errors import InputError
 
+MAX_MAPS = 2**20
 MAX_COORDINATE = 1e6  # m; what lies beyond is a typo
 
 
@@ -20,33 +20,29 @@ MAX_COORDINATE = 1e6  # m; what lies beyond is a typo
 class Configurations:
     """A table of environment configurations, one per row of every leaf.
 
-    A further quantity that varies by episode (wind, mass, a map's number) is a further axis: files
-    of configurations have it at once.
+    A further quantity that varies by episode is a further axis: files of configurations have it at
+    once. What has a default may be left out.
 
     Attributes:
         start: (N, 2) m, where the drone begins.
         goal: (N, 2) m, where it must go.
+        map_id: (N,) the map that it flies in, by its place among the task's maps from 0 on.
     """
 
-    start: jax.Array | np.ndarray = axis(
-        "start_x start_y", unit="m", low=-MAX_COORDINATE, high=MAX_COORDINATE
-    )
-    goal: jax.Array | np.ndarray = axis("goal_x goal_y", unit="m", low=-MAX_COORDINATE, high=MAX_COORDINATE)
+    start: Any = axis("start_x start_y", unit="m", low=-MAX_COORDINATE, high=MAX_COORDINATE)
+    goal: Any = axis("goal_x goal_y", unit="m", low=-MAX_COORDINATE, high=MAX_COORDINATE)
+    map_id: Any = axis("map", dtype=np.int32, default=0, low=0, high=MAX_MAPS - 1)
 
     @property
     def size(self) -> int:
         """N, the number of configurations."""
         return self.start.shape[0]
 
-    def __iter__(self) -> Iterator[jax.Array | np.ndarray]:
-        """The arrays in their order: start, goal = table."""
-        return (getattr(self, name) for name in axes_of(type(self)))
-
 
 def _there_and_back(pairs: list[tuple[tuple[float, float], tuple[float, float]]]) -> Configurations:
     both = np.array([leg for start, goal in pairs for leg in ((start, goal), (goal, start))])
     both = both.astype(np.float32)
-    return Configurations(start=both[:, 0], goal=both[:, 1])
+    return fill(Configurations(start=both[:, 0], goal=both[:, 1]))
 
 
 # Table 1 of Jang & Choi (2022): c0, c2, …; each odd row is the reverse of the even row before it.

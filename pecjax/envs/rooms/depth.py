@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pecjax.envs.rooms.maps import Walls
 from pecjax.envs.rooms.rotations import quaternion_to_matrix
 from pecjax.envs.rooms.scene import Scene
 from pecjax.envs.rooms.vehicle import Camera
@@ -30,7 +31,12 @@ def pixel_directions(camera: Camera) -> np.ndarray:
 
 
 def depth_image(scene: Scene, position: jax.Array, quaternion: jax.Array) -> jax.Array:
-    """The depth image of one drone.
+    """The depth image of one drone in a scene (see `render_depth`)."""
+    return render_depth(scene.vehicle.camera, scene.walls, position, quaternion)
+
+
+def render_depth(camera: Camera, walls: Walls, position: jax.Array, quaternion: jax.Array) -> jax.Array:
+    """The depth image of one drone among walls.
 
     Args:
         position: (3,) m, the drone's origin.
@@ -40,17 +46,16 @@ def depth_image(scene: Scene, position: jax.Array, quaternion: jax.Array) -> jax
         (H, W) m, planar depth (along the optical axis), clipped to the camera's range; a ray that
         meets no wall reads the far end. Oracle: `mujoco.mj_ray`.
     """
-    camera = scene.camera
     rotation = quaternion_to_matrix(quaternion)
     local = jnp.asarray(pixel_directions(camera).reshape(-1, 3).T, position.dtype)
     with jax.default_matmul_precision("highest"):  # GPUs would round products to 11 bits
         origin = position + rotation @ jnp.asarray(camera.position, position.dtype)
         directions = rotation @ local
-    depth = raycast(scene, origin, directions)
+    depth = raycast(walls, origin, directions)
     return jnp.clip(depth, camera.near, camera.far).reshape(camera.height, camera.width)
 
 
-def raycast(scene: Scene, origin: jax.Array, directions: jax.Array) -> jax.Array:
+def raycast(walls: Walls, origin: jax.Array, directions: jax.Array) -> jax.Array:
     """Parameter (R,) at which rays meet the nearest wall, inf for none (the slab test).
 
     A ray that starts inside a wall meets it where it leaves.
@@ -61,8 +66,8 @@ def raycast(scene: Scene, origin: jax.Array, directions: jax.Array) -> jax.Array
     """
     # An exact zero would turn 0 · inf into NaN for a ray that runs in a wall's face.
     inverse = 1 / jnp.where(jnp.abs(directions) < 1e-9, 1e-9, directions)
-    lower = jnp.asarray(scene.wall_lower, origin.dtype) - origin
-    upper = jnp.asarray(scene.wall_upper, origin.dtype) - origin
+    lower = jnp.asarray(walls.lower, origin.dtype) - origin
+    upper = jnp.asarray(walls.upper, origin.dtype) - origin
 
     def nearer(best: jax.Array, wall: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
         faces = [(wall[0][axis] * inverse[axis], wall[1][axis] * inverse[axis]) for axis in range(3)]

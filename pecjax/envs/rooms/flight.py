@@ -15,9 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from pecjax.envs.rooms.clearance import wall_distance
+from pecjax.envs.rooms.maps import Walls
 from pecjax.envs.rooms.quiet_mjx import mjx
 from pecjax.envs.rooms.rotations import dot, heading_to_quaternion, quaternion_to_matrix
-from pecjax.envs.rooms.scene import Scene
+from pecjax.envs.rooms.vehicle import Vehicle
 
 
 class DroneState(NamedTuple):
@@ -81,14 +82,14 @@ def hover(position: jax.Array, heading: jax.Array) -> DroneState:
     )
 
 
-def rotor_controls(scene: Scene, gains: ControllerGains, state: DroneState, command: Command) -> jax.Array:
+def rotor_controls(
+    vehicle: Vehicle, gains: ControllerGains, state: DroneState, command: Command
+) -> jax.Array:
     """Rotor controls (U,) that steer the drone towards the command, within their limits."""
     rotation = quaternion_to_matrix(state.qpos[3:])
     velocity, rates = state.qvel[:3], state.qvel[3:]
-    gravity = -scene.model.opt.gravity[2]
-
-    acceleration = _acceleration(gains, gravity, rotation, state.qpos[2], velocity, command)
-    force = scene.mass * (acceleration + jnp.array([0, 0, gravity], velocity.dtype))
+    acceleration = _acceleration(gains, vehicle.gravity, rotation, state.qpos[2], velocity, command)
+    force = vehicle.mass * (acceleration + jnp.array([0, 0, vehicle.gravity], velocity.dtype))
     wanted_up = force / jnp.sqrt(dot(force, force))
     tilt_x, tilt_y = dot(wanted_up, rotation[:, 0]), dot(wanted_up, rotation[:, 1])  # in the drone's frame
 
@@ -99,9 +100,9 @@ def rotor_controls(scene: Scene, gains: ControllerGains, state: DroneState, comm
         gains.attitude * tilt_x + gains.body_rate * lag[1],
         gains.yaw_rate * lag[2],
     ])  # fmt: skip
-    inertia = jnp.asarray(scene.inertia, rates.dtype)
+    inertia = jnp.asarray(vehicle.inertia, rates.dtype)
     torque = inertia * angular_acceleration + jnp.cross(rates, inertia * rates)
-    return allocate_rotors(scene, dot(force, rotation[:, 2]), torque)
+    return allocate_rotors(vehicle, dot(force, rotation[:, 2]), torque)
 
 
 def _acceleration(
@@ -127,11 +128,11 @@ def _acceleration(
     return jnp.concatenate([level, climb[None]])
 
 
-def allocate_rotors(scene: Scene, thrust: jax.Array, torque: jax.Array) -> jax.Array:
+def allocate_rotors(vehicle: Vehicle, thrust: jax.Array, torque: jax.Array) -> jax.Array:
     """Rotor controls (U,) for a thrust (N) and a torque (3,) N m; yaw gives way at the limits."""
-    inverse = jnp.asarray(np.linalg.pinv(scene.rotors.wrench), torque.dtype)
-    lower = jnp.asarray(scene.rotors.lower, torque.dtype)
-    upper = jnp.asarray(scene.rotors.upper, torque.dtype)
+    inverse = jnp.asarray(np.linalg.pinv(vehicle.rotors.wrench), torque.dtype)
+    lower = jnp.asarray(vehicle.rotors.lower, torque.dtype)
+    upper = jnp.asarray(vehicle.rotors.upper, torque.dtype)
     lift = inverse[:, 0] * thrust + inverse[:, 1] * torque[0] + inverse[:, 2] * torque[1]
     lift = jnp.clip(lift, lower, upper)
     yaw = inverse[:, 3] * torque[2]
@@ -140,21 +141,26 @@ def allocate_rotors(scene: Scene, thrust: jax.Array, torque: jax.Array) -> jax.A
     return lift + jnp.minimum(share, 1.0) * yaw
 
 
-def physics_step(scene: Scene, state: DroneState, controls: jax.Array) -> DroneState:
-    """One MJX step of `scene.model.opt.timestep` seconds under rotor controls (U,)."""
-    wrench = jnp.asarray(scene.rotors.wrench, controls.dtype)
+def physics_step(vehicle: Vehicle, state: DroneState, controls: jax.Array) -> DroneState:
+    """One MJX step of `vehicle.timestep` seconds under rotor controls (U,)."""
+    wrench = jnp.asarray(vehicle.rotors.wrench, controls.dtype)
     thrust, *torque = (dot(row, controls) for row in wrench)
     # Given as the force that MuJoCo's site actuators come to: MJX's own way there is much longer.
     up = quaternion_to_matrix(state.qpos[3:])[:, 2]
     applied = jnp.concatenate([thrust * up, jnp.stack(torque)])
-    data = mjx.make_data(scene.model).replace(qpos=state.qpos, qvel=state.qvel, qfrc_applied=applied)
+    data = mjx.make_data(vehicle.physics).replace(qpos=state.qpos, qvel=state.qvel, qfrc_applied=applied)
     with jax.default_matmul_precision("highest"):  # GPUs would round products to 11 bits
-        data = mjx.step(scene.physics, data)
+        data = mjx.step(vehicle.physics, data)
     return DroneState(data.qpos, data.qvel)
 
 
 def fly(
-    scene: Scene, gains: ControllerGains, state: DroneState, command: Command, num_steps: int
+    vehicle: Vehicle,
+    walls: Walls,
+    gains: ControllerGains,
+    state: DroneState,
+    command: Command,
+    num_steps: int,
 ) -> tuple[DroneState, jax.Array]:
     """Holds a command for `num_steps` physics steps.
 
@@ -165,8 +171,8 @@ def fly(
 
     def step(_: int, carry: tuple[DroneState, jax.Array]) -> tuple[DroneState, jax.Array]:
         state, nearest = carry
-        state = physics_step(scene, state, rotor_controls(scene, gains, state, command))
-        return state, jnp.minimum(nearest, wall_distance(scene, state.qpos[:3]))
+        state = physics_step(vehicle, state, rotor_controls(vehicle, gains, state, command))
+        return state, jnp.minimum(nearest, wall_distance(walls, state.qpos[:3]))
 
     nothing_near = jnp.full((), jnp.inf, state.qpos.dtype)
     return jax.lax.fori_loop(0, num_steps, step, (state, nothing_near))

@@ -2,62 +2,104 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
+from pecjax.envs.axes import fill
 from pecjax.envs.rooms.clearance import wall_distance
 from pecjax.envs.rooms.config import Configurations, row_name
+from pecjax.envs.rooms.map_file import Map
+from pecjax.envs.rooms.maps import Walls
 from pecjax.envs.rooms.scene import Scene
 from pecjax.errors import InputError
 
 CELL = 0.05  # m, of the grid on which reachability is decided
 MAX_CELLS = 2**23
 
+_wall_distance = jax.jit(wall_distance)
+
 
 def check_coordinates(
     scene: Scene, table: Configurations, *, flight_height: float, source: str | Path | None = None
 ) -> None:
-    """Makes sure that every configuration can be flown.
+    """Makes sure that every configuration can be flown in one scene (see `check_configurations`)."""
+    check_configurations([scene.map], fill(table), scene.drone_radius, flight_height, source)
+
+
+def check_configurations(
+    maps: Sequence[Map],
+    table: Configurations,
+    radius: float,
+    flight_height: float,
+    source: str | Path | None = None,
+) -> None:
+    """Makes sure that every configuration can be flown in its map.
 
     Start and goal must lie inside the map and clear of its walls by the drone's radius, differ,
     and be joined by a path that the drone's sphere fits through at its flight height.
 
     Args:
-        flight_height: m.
+        radius, flight_height: m, of the drone.
         source: what `load_coordinates` read the table from, for messages.
 
     Raises:
-        InputError: a row that cannot be flown, with the point at fault.
+        InputError: a row that names a map that is not there or cannot be flown, with the point at fault.
     """
-    start, goal = np.asarray(table.start), np.asarray(table.goal)
-    low, high = scene.bounds
+    map_id = np.asarray(table.map_id)
+    for row in _first(map_id >= len(maps)):
+        raise InputError(
+            f"{row_name(source, row)}: there is no map {map_id[row]}; the maps are 0 to {len(maps) - 1}"
+        )
+    for number in np.unique(map_id):
+        _check_in_map(maps[number], table, np.flatnonzero(map_id == number), radius, flight_height, source)
+
+
+def _check_in_map(
+    one: Map,
+    table: Configurations,
+    chosen: np.ndarray,
+    radius: float,
+    flight_height: float,
+    source: str | Path | None,
+) -> None:
+    """`check_configurations` of the rows that fly in one map."""
+    start, goal = np.asarray(table.start)[chosen], np.asarray(table.goal)[chosen]
+    low, high = one.bounds
+
+    def name(row: int) -> str:
+        return row_name(source, int(chosen[row]))
+
     for role, points in (("start", start), ("goal", goal)):
         for row in _first(np.any((points < low) | (points > high), axis=1)):
-            raise InputError(
-                f"{row_name(source, row)}: {role} {_at(points[row])} lies outside the map; move it"
-            )
+            raise InputError(f"{name(row)}: {role} {_at(points[row])} lies outside the map; move it")
         heights = np.full((len(points), 1), flight_height, points.dtype)
-        gaps = np.asarray(wall_distance(scene, jnp.asarray(np.hstack([points, heights]))))
-        for row in _first(gaps <= scene.drone_radius):
+        gaps = np.asarray(_distances(one, np.hstack([points, heights])))
+        for row in _first(gaps <= radius):
             where = "inside a wall" if gaps[row] == 0 else f"{gaps[row]:.2f} m from a wall"
             raise InputError(
-                f"{row_name(source, row)}: {role} {_at(points[row])} lies {where}; keep it "
-                f"more than {scene.drone_radius:g} m, the drone's radius, away"
+                f"{name(row)}: {role} {_at(points[row])} lies {where}; keep it "
+                f"more than {radius:g} m, the drone's radius, away"
             )
     for row in _first(np.all(start == goal, axis=1)):
-        raise InputError(f"{row_name(source, row)}: start and goal are both {_at(start[row])}; move one")
-    regions, origin = free_regions(scene, flight_height)
+        raise InputError(f"{name(row)}: start and goal are both {_at(start[row])}; move one")
+    regions, origin = free_regions(one, radius, flight_height)
     from_start, from_goal = (regions_at(regions, origin, points) for points in (start, goal))
     meet = (from_start[:, :, None] == from_goal[:, None, :]) & (from_start[:, :, None] > 0)
     for row in _first(~meet.any(axis=(1, 2))):
         raise InputError(
-            f"{row_name(source, row)}: no path of {2 * scene.drone_radius:g} m width leads from "
+            f"{name(row)}: no path of {2 * radius:g} m width leads from "
             f"{_at(start[row])} to {_at(goal[row])}; widen a door or move a point"
         )
+
+
+def _distances(one: Map, points: np.ndarray) -> jax.Array:
+    return _wall_distance(Walls(one.lower, one.upper), jnp.asarray(points, jnp.float32))
 
 
 def _first(wrong: np.ndarray) -> list[int]:
@@ -68,7 +110,7 @@ def _at(point: np.ndarray) -> str:
     return f"({point[0]:g}, {point[1]:g})"
 
 
-def free_regions(scene: Scene, flight_height: float) -> tuple[np.ndarray, np.ndarray]:
+def free_regions(one: Map, radius: float, flight_height: float) -> tuple[np.ndarray, np.ndarray]:
     """Labels the places that the drone's centre may take, one number per connected region.
 
     Returns:
@@ -78,7 +120,7 @@ def free_regions(scene: Scene, flight_height: float) -> tuple[np.ndarray, np.nda
     Raises:
         InputError: the map is too large for that.
     """
-    low, high = scene.bounds
+    low, high = one.bounds
     if np.prod((high - low) / CELL) > MAX_CELLS:
         raise InputError(
             f"the map is {high[0] - low[0]:g} by {high[1] - low[1]:g} m; "
@@ -86,8 +128,8 @@ def free_regions(scene: Scene, flight_height: float) -> tuple[np.ndarray, np.nda
         )
     xs, ys = (np.arange(low[axis], high[axis] + CELL, CELL) for axis in range(2))
     points = np.stack(np.meshgrid(xs, ys, [flight_height], indexing="ij"), axis=-1)[:, :, 0]
-    distance = np.asarray(wall_distance(scene, jnp.asarray(points, jnp.float32)))
-    return cast(Any, ndimage.label(distance > scene.drone_radius))[0], np.array([xs[0], ys[0]])
+    distance = np.asarray(_distances(one, points))
+    return cast(Any, ndimage.label(distance > radius))[0], np.array([xs[0], ys[0]])
 
 
 def regions_at(regions: np.ndarray, origin: np.ndarray, points: np.ndarray) -> np.ndarray:

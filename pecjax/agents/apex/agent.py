@@ -1,4 +1,4 @@
-"""Ape-X DQN: distributed prioritised replay (Horgan et al. 2018), one iteration as one program."""
+"""Ape-X DQN: one iteration as one program."""
 
 from __future__ import annotations
 
@@ -8,24 +8,22 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from pecjax.agents import replay
-from pecjax.agents.agent import Agent, Metrics, TrainState, are_finite, summarize
-from pecjax.agents.apex_update import (
-    ApexSettings,
-    Learner,
-    count_on,
-    double_value,
-    make_optimizer,
-    update,
-)
-from pecjax.agents.networks import encode
-from pecjax.agents.q_network import QNetwork, action_values
-from pecjax.agents.replay import Frame, Replay, Rows, compress, expand
-from pecjax.agents.returns import n_step_return
-from pecjax.agents.rollout import Episodes, RolloutState, Trajectory, global_ids, init_rollout, rollout
-from pecjax.curriculum.base import Sampler
-from pecjax.envs.rooms.config import Configurations
-from pecjax.envs.rooms.navigation import RoomsNavigation, observation
+from pecjax.agents.apex import replay
+from pecjax.agents.apex.q_network import QNetwork, action_values
+from pecjax.agents.apex.replay import Packed, Replay, Rows
+from pecjax.agents.apex.settings import Apex
+from pecjax.agents.apex.update import Learner, count_on, double_value, make_optimizer, update
+from pecjax.agents.base import Agent, TrainState
+from pecjax.agents.episodes import Episodes
+from pecjax.agents.metrics import Metrics, are_finite, summarize
+from pecjax.agents.observations import pack, unpack
+from pecjax.agents.returns import n_step_return, with_bootstrap
+from pecjax.agents.rollout import Policy, RolloutState, Trajectory, init_rollout, rollout
+from pecjax.agents.sharding import global_ids
+from pecjax.curriculum.base import Sampler, count_outcomes
+from pecjax.envs.spaces import Discrete
+from pecjax.envs.task import Task, World, num_configs
+from pecjax.errors import InputError
 
 
 class Recent(NamedTuple):
@@ -47,12 +45,12 @@ class Recent(NamedTuple):
 class Actors(NamedTuple):
     """What is spread over devices: environments, their recent steps, and the replay's shards."""
 
-    fleet: RolloutState
+    envs: RolloutState
     recent: Recent
     shards: Replay
 
 
-def exploration(settings: ApexSettings, env_ids: jax.Array) -> jax.Array:
+def exploration(settings: Apex, env_ids: jax.Array) -> jax.Array:
     """ε of each environment (Horgan et al. 2018, §4.1), actors dealt out in turn."""
     actor = env_ids % settings.num_actors
     return settings.epsilon ** (1 + settings.epsilon_exponent * actor / max(settings.num_actors - 1, 1))
@@ -66,88 +64,82 @@ def explore(values: jax.Array, epsilon: jax.Array, chance: jax.Array) -> jax.Arr
     return jnp.where(chance < epsilon, anything, jnp.argmax(values, axis=-1).astype(jnp.int32))
 
 
-def make(
-    env: RoomsNavigation,
-    table: Configurations,
-    sampler: Sampler,
-    settings: ApexSettings = ApexSettings(),
-    axis_name: str | None = None,
-) -> Agent:
-    """An Ape-X agent that flies configurations of `table` as `sampler` draws them.
+def make(task: Task, sampler: Sampler, settings: Apex, axis_name: str | None = None) -> Agent:
+    """See `AgentSettings.make`.
 
-    Actors and learner take turns: every `fragment` steps come `updates` updates, and so an actor
-    always acts by the newest parameters, where Horgan et al.'s run side by side.
-
-    Args:
-        axis_name: the mesh axis it will be sharded over (see `agents.agent.shard`), None for one
-            device; the devices must divide the replay's shards.
-
-    Raises:
-        InputError: settings that do not fit one another.
+    Actors and learner take turns: every `rollout_length` steps come `updates` updates, and so an actor
+    always acts by the newest parameters, where Horgan et al.'s run side by side. Where a task truncates,
+    the value that is bootstrapped from is that of the moment of the flight.
     """
     settings.check()
-    camera = env.scene.camera
-    shape = (camera.height, camera.width)
-    network = QNetwork(settings.network, env.action_size)
+    if not isinstance(task.action_space, Discrete):
+        raise InputError(f"apex needs discrete actions, not {task.action_space}; choose the agent ppo")
+    space = task.observation_space
+    network = QNetwork(settings.network, task.action_space.num_actions)
     optimizer = make_optimizer(settings)
     num_envs, n_step, num_shards = settings.num_envs, settings.n_step, settings.replay.num_shards
-    num_rounds = settings.num_steps // settings.fragment
+    num_rounds = settings.num_steps // settings.rollout_length
 
-    def features(frame: Frame) -> jax.Array:
-        return encode(expand(frame, shape, camera.far), camera.far)
+    def features(packed: Packed) -> jax.Array:
+        return unpack(space, packed)
 
     def empty_shards() -> Replay:
-        one = replay.empty(settings.num_rows, settings.shard_envs, camera.height * camera.width)
+        seen = jax.eval_shape(lambda: pack(space, jax.tree.map(lambda box: jnp.zeros(box.shape), space)))
+        one = replay.empty(settings.num_rows, settings.shard_envs, seen)
         return jax.tree.map(lambda leaf: jnp.zeros((num_shards, *leaf.shape), leaf.dtype), one)
 
-    def init(key: jax.Array, numbers: Mapping[str, jax.Array] | None = None) -> TrainState:
-        key, key_online, key_target, key_fleet = jax.random.split(key, 4)
+    def init(key: jax.Array, world: World, numbers: Mapping[str, jax.Array] | None = None) -> TrainState:
+        key, key_online, key_target, key_envs = jax.random.split(key, 4)
         sampler_state = sampler.init(**(numbers or {}))
-        fleet = init_rollout(env, table, sampler, sampler_state, key_fleet, num_envs)
-        seen = features(compress(observation(fleet.state), camera.far))[:1]
+        envs = init_rollout(task, world, sampler, sampler_state, key_envs, num_envs)
+        seen = features(pack(space, envs.obs))[:1]
         params, target = network.init(key_online, seen), network.init(key_target, seen)
         zero = jnp.zeros((), jnp.int32)
         learner = Learner(params, target, optimizer.init(params), zero, zero, zero)
         nothing = jnp.zeros((num_envs, n_step))
         recent = Recent(nothing.astype(jnp.int32), nothing, nothing, nothing, nothing.astype(bool))
-        return TrainState(learner, sampler_state, Actors(fleet, recent, empty_shards()), key)
+        counts = jnp.zeros((2, num_configs(world.table)), jnp.int32)
+        return TrainState(learner, sampler_state, counts, Actors(envs, recent, empty_shards()), key)
 
-    def iterate(state: TrainState) -> tuple[TrainState, Metrics]:
+    def iterate(state: TrainState, world: World) -> tuple[TrainState, Metrics]:
         key, key_rounds = jax.random.split(state.key)
-        env_ids = global_ids(state.fleet.fleet.config_id.shape[0], axis_name)
+        env_ids = global_ids(state.envs.envs.running.length.shape[0], axis_name)
 
         def fly(learner: Learner, actors: Actors, key: jax.Array) -> tuple[Actors, Episodes]:
-            def act(obs: Any, chance: jax.Array) -> tuple[jax.Array, tuple]:
-                frame = compress(obs, camera.far)
-                seen = features(frame)
+            def values(packed: Packed) -> tuple[jax.Array, jax.Array]:
+                seen = features(packed)
                 q = action_values(network, learner.params, seen)
-                q_target = action_values(network, learner.target, seen)
+                return q, double_value(q, action_values(network, learner.target, seen))
+
+            def act(obs: Any, chance: jax.Array) -> tuple[jax.Array, tuple]:
+                packed = pack(space, obs)
+                q, ahead = values(packed)
                 action = explore(q, exploration(settings, env_ids), chance)
                 taken = jnp.take_along_axis(q, action[..., None], axis=-1)[..., 0]
-                return action, (frame, taken, double_value(q, q_target))
+                return action, (packed, taken, ahead)
 
-            fleet, trajectory, episodes = rollout(
-                env,
-                table,
+            envs, trajectory, episodes = rollout(
+                task,
+                world,
                 sampler,
                 state.sampler,
-                act,
-                actors.fleet,
+                Policy(jax.random.uniform, act, lambda obs: values(pack(space, obs))[1]),
+                actors.envs,
                 key,
                 env_ids,
-                settings.fragment,
+                settings.rollout_length,
             )
             recent, rows = complete(settings, actors.recent, trajectory)
             shards = jax.vmap(lambda shard, rows: replay.add(settings.replay, shard, rows, n_step))(
                 actors.shards, by_shard(rows, settings.shard_envs)
             )
-            return Actors(fleet, recent, shards), episodes
+            return Actors(envs, recent, shards), episodes
 
         def round_(carry: tuple[Learner, Actors], key: jax.Array) -> tuple[tuple[Learner, Actors], tuple]:
             learner, actors = carry
             key_fly, key_learn = jax.random.split(key)
             actors, episodes = fly(learner, actors, key_fly)
-            learner = learner._replace(sampled=count_on(learner.sampled, settings.fragment * num_envs))
+            learner = learner._replace(sampled=count_on(learner.sampled, settings.rollout_length * num_envs))
 
             def learn(learner: Learner, shards: Replay) -> tuple[Learner, Replay, dict[str, jax.Array]]:
                 return update(network, optimizer, settings, features, learner, shards, key_learn, axis_name)
@@ -161,7 +153,7 @@ def make(
             return (learner, actors._replace(shards=shards)), (episodes, terms, warm)
 
         keys = jax.random.split(key_rounds, num_rounds)
-        carry, (episodes, terms, warm) = jax.lax.scan(round_, (state.learner, state.fleet), keys)
+        carry, (episodes, terms, warm) = jax.lax.scan(round_, (state.learner, state.envs), keys)
         learner, actors = carry
         # Over the rounds that learnt; where none did there is no figure.
         losses = {name: term.sum() / warm.sum() for name, term in terms.items()}
@@ -169,13 +161,14 @@ def make(
         # RLlib 0.8.5 reports the last third of its actors, rounded up (`agents/dqn/apex.py`).
         reported = env_ids % settings.num_actors >= settings.num_actors + (-settings.num_actors // 3)
         sampler_state = sampler.update(state.sampler, episodes.outcomes, axis_name)
-        parts = terms | {"parameters": learner.params, "physics": actors.fleet.state.pipeline_state}
-        metrics = summarize(episodes, are_finite(parts, axis_name), losses, table.size, axis_name, reported)
-        return TrainState(learner, sampler_state, actors, key), metrics
+        counts = state.counts + count_outcomes(episodes.outcomes, state.counts.shape[1], axis_name)
+        parts = terms | {"parameters": learner.params, "observations": actors.envs.obs}
+        metrics = summarize(episodes, are_finite(parts, axis_name), losses, axis_name, reported)
+        return TrainState(learner, sampler_state, counts, actors, key), metrics
 
     def policy(learner: Learner, greedy: bool = False):
         def act(obs: Any, key: jax.Array) -> jax.Array:
-            values = action_values(network, learner.params, features(compress(obs, camera.far)))
+            values = action_values(network, learner.params, features(pack(space, obs)))
             if greedy:
                 return jnp.argmax(values)
             # As in training: any of the actors.
@@ -190,15 +183,15 @@ def make(
     return Agent(init, iterate, policy, num_envs * settings.num_steps, replay_bytes)
 
 
-def complete(settings: ApexSettings, recent: Recent, trajectory: Trajectory) -> tuple[Recent, Rows]:
-    """The transitions that a fragment completes, with their |TD errors|; leaves (K, B, …).
+def complete(settings: Apex, recent: Recent, trajectory: Trajectory) -> tuple[Recent, Rows]:
+    """The transitions that a rollout completes, with their |TD errors|; leaves (K, B, …).
 
     The n steps that it leaves incomplete are kept for the next.
     """
-    frame, value, ahead = trajectory.extras
+    packed, value, ahead = trajectory.extras
     new = Recent(
         trajectory.action,
-        trajectory.reward * settings.reward_scale,
+        with_bootstrap(trajectory.reward * settings.reward_scale, trajectory.bootstrap, settings.discount),
         trajectory.done,
         value,
         jnp.ones_like(trajectory.action, dtype=bool),
@@ -208,7 +201,7 @@ def complete(settings: ApexSettings, recent: Recent, trajectory: Trajectory) -> 
     reward, discount = n_step_return(steps.reward[:-1], steps.done[:-1], settings.n_step, settings.discount)
     error = jnp.abs(reward + discount * ahead - steps.value[:number])
     error = jnp.where(steps.known[:number], error, -1.0)
-    rows = Rows(frame, steps.action[:number], reward, discount, error)
+    rows = Rows(packed, steps.action[:number], reward, discount, error)
     return jax.tree.map(lambda leaf: leaf[number:].T, steps), rows
 
 

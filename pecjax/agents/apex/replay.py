@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from pecjax.agents import sum_tree
+from pecjax.agents.apex import sum_tree
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,7 @@ class ReplaySettings:
     normalize: Literal["batch", "shard"] = "batch"
 
 
-class Frame(NamedTuple):
-    """Observations as they are kept: `depth` (…, H·W) uint8 and `goal` (…, 2)."""
-
-    depth: jax.Array
-    goal: jax.Array
+Packed = tuple[jax.Array, ...]  # observations as they are kept (see `observations.pack`): (…, n) each
 
 
 class Rows(NamedTuple):
@@ -52,14 +48,14 @@ class Rows(NamedTuple):
     before, in the same environment.
 
     Attributes:
-        frame: the observation.
+        obs: the observation, packed.
         action: taken n rows before.
         reward: the n-step return from there.
         discount: of the value of this row's observation, 0 where the episode had ended.
         error: |TD error| of the transition, negative where there is none to draw.
     """
 
-    frame: Frame
+    obs: Packed
     action: jax.Array
     reward: jax.Array
     discount: jax.Array
@@ -75,7 +71,7 @@ class Replay(NamedTuple):
         head: () int32, the row to be written next.
     """
 
-    rows: tuple[Frame, jax.Array, jax.Array, jax.Array]
+    rows: tuple[Packed, jax.Array, jax.Array, jax.Array]
     tree: jax.Array
     head: jax.Array
 
@@ -85,36 +81,28 @@ class Batch(NamedTuple):
 
     Attributes:
         leaf: where each lies.
-        frame, next_frame: observations s_t and s_{t+n}.
+        obs, next_obs: observations s_t and s_{t+n}.
         weight: importance weights, at most 1.
     """
 
     leaf: jax.Array
-    frame: Frame
+    obs: Packed
     action: jax.Array
     reward: jax.Array
     discount: jax.Array
-    next_frame: Frame
+    next_obs: Packed
     weight: jax.Array
 
 
-def compress(obs: dict[str, jax.Array], far: float) -> Frame:
-    """Keeps depth in 255 steps of the camera's range `far` (m), without what is behind the point."""
-    depth = jnp.round(obs["depth"] * (255 / far)).astype(jnp.uint8)
-    return Frame(depth.reshape(*depth.shape[:-2], -1), obs["goal"])
+def empty(num_rows: int, num_envs: int, like: Packed) -> Replay:
+    """A shard of T rows of E environments with nothing in it.
 
-
-def expand(frame: Frame, shape: tuple[int, int], far: float) -> dict[str, jax.Array]:
-    """The observation within a frame, its depth image of the given (H, W)."""
-    depth = frame.depth.astype(jnp.float32) * (far / 255)
-    return {"depth": depth.reshape(*depth.shape[:-1], *shape), "goal": frame.goal}
-
-
-def empty(num_rows: int, num_envs: int, num_pixels: int) -> Replay:
-    """A shard of T rows of E environments with nothing in it."""
+    Args:
+        like: packed observations (…, n), or their shapes.
+    """
     size = num_rows * num_envs
-    frame = Frame(jnp.zeros((size, num_pixels), jnp.uint8), jnp.zeros((size, 2)))
-    rows = (frame, jnp.zeros(size, jnp.int32), jnp.zeros(size), jnp.zeros(size))
+    obs = tuple(jnp.zeros((size, part.shape[-1]), part.dtype) for part in like)
+    rows = (obs, jnp.zeros(size, jnp.int32), jnp.zeros(size), jnp.zeros(size))
     return Replay(rows, sum_tree.empty(size), jnp.zeros((), jnp.int32))
 
 
@@ -153,15 +141,15 @@ def sample(
     else:
         leaves = replay.tree[replay.tree.size // 2 :]
         least = jnp.where(leaves > 0, leaves, jnp.inf).min()
-    frames, action, reward, discount = replay.rows
+    obs, action, reward, discount = replay.rows
     before = (leaf - n_step * num_envs) % action.shape[0]
     return Batch(
         leaf,
-        jax.tree.map(lambda kept: kept[before], frames),
+        jax.tree.map(lambda kept: kept[before], obs),
         action[leaf],
         reward[leaf],
         discount[leaf],
-        jax.tree.map(lambda kept: kept[leaf], frames),
+        jax.tree.map(lambda kept: kept[leaf], obs),
         (priority / least) ** -settings.beta,
     )
 

@@ -2,85 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 
-from pecjax.agents.agent import device_mean
-from pecjax.agents.networks import ActorCritic, NetworkSettings, forward
-from pecjax.agents.returns import generalized_advantage
+from pecjax.agents.distributions import Distribution
+from pecjax.agents.networks import ActorCritic, forward
+from pecjax.agents.ppo.settings import PPO
+from pecjax.agents.returns import generalized_advantage, with_bootstrap
 from pecjax.agents.rollout import Trajectory
-from pecjax.errors import InputError
-
-
-@dataclass(frozen=True)
-class PPOSettings:
-    """Settings of PPO; the defaults are the preset `fast`.
-
-    Attributes:
-        num_envs, num_steps: B and T; a batch is B × T steps.
-        num_epochs, num_minibatches: passes over the batch, and parts that each is cut into.
-        shuffle: what a minibatch is drawn from: `steps` takes whole time steps of all
-            environments, drawn anew each epoch, and copies nothing between devices; `samples`
-            shuffles all samples once, drops the remainder and then only changes the minibatches'
-            order (RLlib 0.8.5, `optimizers/multi_gpu_optimizer.py`).
-        learning_rate, adam_eps, max_grad_norm: of Adam, with an optional bound on the gradient.
-        discount, gae_lambda: γ and λ.
-        clip: ε of the clipped surrogate.
-        value_clip: how far a value prediction may move in one iteration; None for any distance.
-        value_coeff, entropy_coeff: weights of the squared value error and of the entropy.
-        kl_coeff: initial weight of KL(old ‖ new); None leaves the term out. It is adapted after
-            each iteration: × 1.5 over 2 × `kl_target`, × 0.5 under half of it.
-        reward_scale: what rewards are multiplied with for the learner.
-        network: of actor and critic.
-    """
-
-    num_envs: int = 512
-    num_steps: int = 32
-    num_epochs: int = 4
-    num_minibatches: int = 8
-    shuffle: Literal["steps", "samples"] = "steps"
-    learning_rate: float = 3e-4
-    adam_eps: float = 1e-5
-    max_grad_norm: float | None = 0.5
-    discount: float = 0.99
-    gae_lambda: float = 0.95
-    clip: float = 0.2
-    value_clip: float | None = None
-    value_coeff: float = 0.5
-    entropy_coeff: float = 0.01
-    kl_coeff: float | None = None
-    kl_target: float = 0.01
-    reward_scale: float = 1e-3
-    network: NetworkSettings = field(default_factory=NetworkSettings)
-
-    @property
-    def rows(self) -> int:
-        """What a minibatch is drawn from: how many time steps, or samples."""
-        return self.num_steps * (self.num_envs if self.shuffle == "samples" else 1)
-
-    @property
-    def shares(self) -> int:
-        """What devices must divide: the environments."""
-        return self.num_envs
-
-    def with_envs(self, num_envs: int) -> PPOSettings:
-        """The same with another number of environments."""
-        return replace(self, num_envs=num_envs)
-
-    def check(self) -> None:
-        """Raises InputError where the batch cannot be cut into the minibatches."""
-        if min(self.num_envs, self.num_steps, self.num_epochs, self.num_minibatches) < 1:
-            raise InputError("environments, steps, epochs and minibatches must each be 1 or more")
-        uneven = self.shuffle == "steps" and self.rows % self.num_minibatches
-        if self.num_minibatches > self.rows or uneven:
-            raise InputError(
-                f"{self.num_minibatches} minibatches do not divide {self.rows} {self.shuffle}; change either"
-            )
-
+from pecjax.agents.sharding import device_mean
 
 MIN_KL_COEFF = 1e-30  # float32 would go on to 0, and stay there
 
@@ -94,17 +27,24 @@ class Learner(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """What the loss is taken over, every leaf with the same leading axes."""
+    """What the loss is taken over, every leaf with the same leading axes.
+
+    Attributes:
+        features: of the observation.
+        drawn, params: what was drawn, and the parameters of the distribution that it was drawn from.
+        value, target: as it was predicted, and as it should have been.
+        advantage: of the action.
+    """
 
     features: jax.Array
-    action: jax.Array
-    logits: jax.Array
+    drawn: jax.Array
+    params: jax.Array
     value: jax.Array
     advantage: jax.Array
     target: jax.Array
 
 
-def make_optimizer(settings: PPOSettings) -> optax.GradientTransformation:
+def make_optimizer(settings: PPO) -> optax.GradientTransformation:
     """Adam, behind a bound on the gradient's norm if there is one."""
     adam = optax.adam(settings.learning_rate, eps=settings.adam_eps)
     if settings.max_grad_norm is None:
@@ -112,13 +52,12 @@ def make_optimizer(settings: PPOSettings) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(settings.max_grad_norm), adam)
 
 
-def prepare(
-    settings: PPOSettings, trajectory: Trajectory, last_value: jax.Array, axis_name: str | None
-) -> Batch:
+def prepare(settings: PPO, trajectory: Trajectory, last_value: jax.Array, axis_name: str | None) -> Batch:
     """Advantages, standardised over the whole batch, and value targets; leaves (T, B, …)."""
-    features, logits, value = trajectory.extras
+    features, drawn, params, value = trajectory.extras
+    reward = trajectory.reward * settings.reward_scale
     advantage = generalized_advantage(
-        trajectory.reward * settings.reward_scale,
+        with_bootstrap(reward, trajectory.bootstrap, settings.discount),
         value,
         trajectory.done,
         last_value,
@@ -129,11 +68,16 @@ def prepare(
     mean = device_mean(advantage.mean(), axis_name)
     deviation = jnp.sqrt(device_mean(jnp.square(advantage - mean).mean(), axis_name))
     advantage = (advantage - mean) / jnp.maximum(1e-4, deviation)
-    return Batch(features, trajectory.action, logits, value, advantage, target)
+    return Batch(features, drawn, params, value, advantage, target)
 
 
 def loss(
-    network: ActorCritic, settings: PPOSettings, params: Any, batch: Batch, kl_coeff: jax.Array
+    network: ActorCritic,
+    distribution: Distribution,
+    settings: PPO,
+    params: Any,
+    batch: Batch,
+    kl_coeff: jax.Array,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """The loss and its terms by name, as in RLlib 0.8.5 (`agents/ppo/ppo_tf_policy.py`).
 
@@ -144,21 +88,17 @@ def loss(
 
     with no ½ before E_V.
     """
-    logits, value = forward(network, params, batch.features)
-    new, old = jax.nn.log_softmax(logits), jax.nn.log_softmax(batch.logits)
-
-    def of_action(log_probs: jax.Array) -> jax.Array:
-        return jnp.take_along_axis(log_probs, batch.action[..., None], axis=-1)[..., 0]
-
-    ratio = jnp.exp(of_action(new) - of_action(old))
-    clipped = jnp.clip(ratio, 1 - settings.clip, 1 + settings.clip)
+    new, value = forward(network, params, batch.features)
+    log_prob = distribution.log_prob
+    ratio = jnp.exp(log_prob(new, batch.drawn) - log_prob(batch.params, batch.drawn))
+    clipped = jnp.clip(ratio, 1 - settings.clip_epsilon, 1 + settings.clip_epsilon)
     surrogate = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage).mean()
     value_error = jnp.square(value - batch.target)
     if settings.value_clip is not None:
         move = jnp.clip(value - batch.value, -settings.value_clip, settings.value_clip)
         value_error = jnp.maximum(value_error, jnp.square(batch.value + move - batch.target))
-    kl = jnp.sum(jnp.exp(old) * (old - new), axis=-1).mean()
-    entropy = -jnp.sum(jnp.exp(new) * new, axis=-1).mean()
+    kl = distribution.kl(batch.params, new).mean()
+    entropy = distribution.entropy(new, batch.params, batch.drawn).mean()
     value_loss = value_error.mean()
     total = -surrogate + settings.value_coeff * value_loss - settings.entropy_coeff * entropy
     if settings.kl_coeff is not None:
@@ -169,8 +109,9 @@ def loss(
 
 def update(
     network: ActorCritic,
+    distribution: Distribution,
     optimizer: optax.GradientTransformation,
-    settings: PPOSettings,
+    settings: PPO,
     learner: Learner,
     batch: Batch,
     key: jax.Array,
@@ -181,7 +122,7 @@ def update(
         if axis_name is not None:
             batch = jax.lax.all_gather(batch, axis_name, axis=1, tiled=True)
         batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), batch)
-    num_rows = batch.action.shape[0]
+    num_rows = batch.value.shape[0]
     rows = minibatch_rows(settings, key, num_rows)
 
     def step(carry: tuple[Any, Any], chosen: jax.Array) -> tuple[tuple[Any, Any], dict[str, jax.Array]]:
@@ -190,7 +131,7 @@ def update(
             chosen = _own_share(chosen, axis_name)
         minibatch = jax.tree.map(lambda leaf: leaf[chosen], batch)
         gradient, terms = jax.grad(
-            lambda p: loss(network, settings, p, minibatch, learner.kl_coeff), has_aux=True
+            lambda p: loss(network, distribution, settings, p, minibatch, learner.kl_coeff), has_aux=True
         )(params)
         gradient, terms = device_mean((gradient, terms), axis_name)
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
@@ -203,7 +144,7 @@ def update(
     return Learner(params, optimizer_state, kl_coeff), terms
 
 
-def minibatch_rows(settings: PPOSettings, key: jax.Array, num_rows: int) -> jax.Array:
+def minibatch_rows(settings: PPO, key: jax.Array, num_rows: int) -> jax.Array:
     """Row numbers (epochs × minibatches, rows of a minibatch), the same on every device."""
     size = num_rows // settings.num_minibatches
     shape = (settings.num_minibatches, size)

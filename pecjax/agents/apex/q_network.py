@@ -24,7 +24,7 @@ class QNetworkSettings:
 
 
 class QNetwork(nn.Module):
-    """Action values (…, A) of a batch of features (see `networks.encode`).
+    """Action values (…, A) of a batch of features (see `observations.encode`).
 
     Q = V + A − mean A    (Wang et al. 2016, Eq. 9)
     """

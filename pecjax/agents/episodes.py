@@ -1,0 +1,79 @@
+"""Episodes: what a running one has come to so far, and what is reported of it when it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from pecjax.curriculum.base import Outcomes
+from pecjax.envs.task import Reduction, Transition
+
+_BEGIN = {"sum": 0.0, "mean": 0.0, "min": jnp.inf, "max": -jnp.inf}
+
+
+class Running(NamedTuple):
+    """The running episodes of B environments.
+
+    Attributes:
+        config_id: (B,) int32, the configuration each was reset with.
+        episode_return: (B,), rewards so far.
+        length: (B,) int32, actions so far.
+        metrics: (B,) each, the task's metrics so far, without those of which only the last counts.
+    """
+
+    config_id: jax.Array
+    episode_return: jax.Array
+    length: jax.Array
+    metrics: dict[str, jax.Array]
+
+
+class Episodes(NamedTuple):
+    """The endings within a rollout, arrays (T, B) that count where `outcomes.done` is true.
+
+    Attributes:
+        outcomes: what the sampler learns from.
+        metrics: the task's, over the episode.
+    """
+
+    outcomes: Outcomes
+    metrics: dict[str, jax.Array]
+
+
+def begin(config_id: jax.Array, metrics: Mapping[str, Reduction]) -> Running:
+    """Episodes that have just been reset with these configurations (B,)."""
+    nothing = jnp.zeros(config_id.shape)
+    running = {name: nothing + _BEGIN[how] for name, how in metrics.items() if how != "last"}
+    return Running(config_id, nothing, nothing.astype(jnp.int32), running)
+
+
+def go_on(
+    running: Running, transition: Transition, metrics: Mapping[str, Reduction]
+) -> tuple[Running, Episodes]:
+    """The episodes with one step more, and what they report should they end in it."""
+    length = running.length + 1
+    kept, reported = {}, {}
+    for name, how in metrics.items():
+        new = jnp.asarray(transition.metrics[name], jnp.float32)
+        if how in ("sum", "mean"):
+            new = running.metrics[name] + new
+        elif how != "last":
+            new = (jnp.minimum if how == "min" else jnp.maximum)(running.metrics[name], new)
+        if how != "last":
+            kept[name] = new
+        reported[name] = new / length if how == "mean" else new
+    episode_return = running.episode_return + transition.reward
+    done = transition.terminated | transition.truncated
+    outcomes = Outcomes(running.config_id, done, done & ~transition.success, length, episode_return)
+    return Running(running.config_id, episode_return, length, kept), Episodes(outcomes, reported)
+
+
+def reset_where(done: jax.Array, fresh: Any, old: Any) -> Any:
+    """Leaves (B, …) of `fresh` where an episode is done, else those of `old`."""
+
+    def choose(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.where(done.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+
+    return jax.tree.map(choose, fresh, old)

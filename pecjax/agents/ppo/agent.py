@@ -1,0 +1,88 @@
+"""PPO: one iteration as one program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from pecjax.agents.base import Agent, TrainState
+from pecjax.agents.distributions import make_distribution
+from pecjax.agents.metrics import Metrics, are_finite, summarize
+from pecjax.agents.networks import ActorCritic, forward
+from pecjax.agents.observations import encode, image_shapes
+from pecjax.agents.ppo.settings import PPO
+from pecjax.agents.ppo.update import Learner, make_optimizer, prepare, update
+from pecjax.agents.rollout import Policy, init_rollout, rollout
+from pecjax.agents.sharding import global_ids
+from pecjax.curriculum.base import Sampler, count_outcomes
+from pecjax.envs.task import Task, World, num_configs
+from pecjax.errors import InputError
+
+
+def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = None) -> Agent:
+    """See `AgentSettings.make`."""
+    settings.check()
+    space = task.observation_space
+    if settings.network.encoder == "cnn" and not image_shapes(space):
+        raise InputError("the encoder cnn needs an image among the observations; choose mlp")
+    distribution = make_distribution(task.action_space)
+    network = ActorCritic(settings.network, distribution.num_params, image_shapes(space))
+    optimizer = make_optimizer(settings)
+
+    def init(key: jax.Array, world: World, numbers: Mapping[str, jax.Array] | None = None) -> TrainState:
+        key, key_params, key_envs = jax.random.split(key, 3)
+        sampler_state = sampler.init(**(numbers or {}))
+        envs = init_rollout(task, world, sampler, sampler_state, key_envs, settings.num_envs)
+        params = network.init(key_params, encode(space, envs.obs)[:1])
+        kl_coeff = jnp.asarray(settings.kl_coeff or 0.0, jnp.float32)
+        learner = Learner(params, optimizer.init(params), kl_coeff)
+        counts = jnp.zeros((2, num_configs(world.table)), jnp.int32)
+        return TrainState(learner, sampler_state, counts, envs, key)
+
+    def iterate(state: TrainState, world: World) -> tuple[TrainState, Metrics]:
+        learner = state.learner
+        key, key_rollout, key_update = jax.random.split(state.key, 3)
+
+        def act(obs: Any, noise: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+            features = encode(space, obs)
+            params, value = forward(network, learner.params, features)
+            drawn = distribution.draw(params, noise)
+            return distribution.action(drawn), (features, drawn, params, value)
+
+        def value(obs: Any) -> jax.Array:
+            return forward(network, learner.params, encode(space, obs))[1]
+
+        envs, trajectory, episodes = rollout(
+            task,
+            world,
+            sampler,
+            state.sampler,
+            Policy(distribution.noise, act, value),
+            state.envs,
+            key_rollout,
+            global_ids(state.envs.running.length.shape[0], axis_name),
+            settings.num_steps,
+        )
+        batch = prepare(settings, trajectory, value(envs.obs), axis_name)
+        learner, losses = update(
+            network, distribution, optimizer, settings, learner, batch, key_update, axis_name
+        )
+        sampler_state = sampler.update(state.sampler, episodes.outcomes, axis_name)
+        counts = state.counts + count_outcomes(episodes.outcomes, state.counts.shape[1], axis_name)
+        finite = are_finite(losses | {"parameters": learner.params, "observations": envs.obs}, axis_name)
+        metrics = summarize(episodes, finite, losses, axis_name)
+        return TrainState(learner, sampler_state, counts, envs, key), metrics
+
+    def policy(learner: Learner, greedy: bool = False):
+        def act(obs: Any, key: jax.Array) -> jax.Array:
+            params, _ = forward(network, learner.params, encode(space, obs))
+            if greedy:
+                return distribution.action(distribution.mode(params))
+            return distribution.action(distribution.draw(params, distribution.noise(key)))
+
+        return act
+
+    return Agent(init, iterate, policy, settings.num_envs * settings.num_steps)

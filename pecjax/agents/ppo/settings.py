@@ -1,0 +1,72 @@
+"""Settings of PPO."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from pecjax.agents.base import Agent, AgentSettings
+from pecjax.agents.networks import NetworkSettings
+from pecjax.curriculum.base import Sampler
+from pecjax.envs.task import Task
+from pecjax.errors import InputError
+
+
+@dataclass(frozen=True)
+class PPO(AgentSettings):
+    """Proximal policy optimisation (Schulman et al. 2017); the defaults are the preset `fast`.
+
+    Attributes:
+        num_epochs, num_minibatches: passes over the batch, and parts that each is cut into.
+        shuffle: what a minibatch is drawn from: `steps` takes whole time steps of all
+            environments, drawn anew each epoch, and copies nothing between devices; `samples`
+            shuffles all samples once, drops the remainder and then only changes the minibatches'
+            order (RLlib 0.8.5, `optimizers/multi_gpu_optimizer.py`).
+        learning_rate, adam_eps, max_grad_norm: of Adam, with an optional bound on the gradient.
+        discount, gae_lambda: γ and λ.
+        clip_epsilon: ε of the clipped surrogate.
+        value_clip: how far a value prediction may move in one iteration; None for any distance.
+        value_coeff, entropy_coeff: weights of the squared value error and of the entropy.
+        kl_coeff: initial weight of KL(old ‖ new); None leaves the term out. It is adapted after
+            each iteration: × 1.5 over 2 × `kl_target`, × 0.5 under half of it.
+        reward_scale: what rewards are multiplied with for the learner.
+        network: of actor and critic.
+    """
+
+    num_epochs: int = 4
+    num_minibatches: int = 8
+    shuffle: Literal["steps", "samples"] = "steps"
+    learning_rate: float = 3e-4
+    adam_eps: float = 1e-5
+    max_grad_norm: float | None = 0.5
+    discount: float = 0.99
+    gae_lambda: float = 0.95
+    clip_epsilon: float = 0.2
+    value_clip: float | None = None
+    value_coeff: float = 0.5
+    entropy_coeff: float = 0.01
+    kl_coeff: float | None = None
+    kl_target: float = 0.01
+    reward_scale: float = 1e-3
+    network: NetworkSettings = field(default_factory=NetworkSettings)
+
+    @property
+    def rows(self) -> int:
+        """What a minibatch is drawn from: how many time steps, or samples."""
+        return self.num_steps * (self.num_envs if self.shuffle == "samples" else 1)
+
+    def make(self, task: Task, sampler: Sampler, axis_name: str | None = None) -> Agent:
+        """A PPO agent (see `AgentSettings.make`)."""
+        from pecjax.agents.ppo.agent import make  # which needs this class
+
+        return make(task, sampler, self, axis_name)
+
+    def check(self) -> None:
+        """Raises InputError where the batch cannot be cut into the minibatches."""
+        if min(self.num_envs, self.num_steps, self.num_epochs, self.num_minibatches) < 1:
+            raise InputError("environments, steps, epochs and minibatches must each be 1 or more")
+        uneven = self.shuffle == "steps" and self.rows % self.num_minibatches
+        if self.num_minibatches > self.rows or uneven:
+            raise InputError(
+                f"{self.num_minibatches} minibatches do not divide {self.rows} {self.shuffle}; change either"
+            )

@@ -1,0 +1,126 @@
+"""The task's contract: one environment whose episodes are each in a configuration."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from pecjax.envs.spaces import Box, Discrete
+
+Reduction = Literal["last", "sum", "mean", "min", "max"]
+
+
+class Transition(NamedTuple):
+    """What an action led to.
+
+    Attributes:
+        state: the next state.
+        reward: () float32.
+        terminated: () bool, the episode is over, and nothing is worth anything beyond.
+        truncated: () bool, the episode is cut off; a learner bootstraps from `observe(state)`. Where
+            both are true the episode is terminated.
+        success: () bool, whether the episode has succeeded; read where it ends.
+        metrics: () each, by the names in `Task.metrics`.
+    """
+
+    state: Any
+    reward: jax.Array
+    terminated: jax.Array
+    truncated: jax.Array
+    success: jax.Array
+    metrics: dict[str, jax.Array]
+
+
+class World(NamedTuple):
+    """Device arrays that are an argument of every program: others of the same shapes compile nothing.
+
+    Attributes:
+        params: what all episodes share, a pytree: maps, weights of the reward, …
+        table: the configurations, a pytree whose leaves have a leading axis N.
+    """
+
+    params: Any
+    table: Any
+
+
+class Task(abc.ABC):
+    """One environment; who uses it batches it by `jax.vmap`.
+
+    States are pytrees. A task never resets itself, keeps all its counters in the state, and takes what
+    is large, such as maps, from `params` whenever it needs it: states are copied where episodes end.
+
+    Attributes:
+        observation_space: a `Box`, or a tree of them.
+        action_space: `Discrete`, or a `Box` of finite bounds.
+        max_steps: the most actions that an episode may take. The task itself ends it then.
+        truncates: whether `truncated` is ever true. Otherwise the observation an episode ends with is
+            never computed.
+        metrics: figures of an episode by name, and how its steps are put together. They become columns
+            of metrics.csv, as means over the episodes that ended.
+    """
+
+    observation_space: Any
+    action_space: Box | Discrete
+    max_steps: int
+    truncates: bool = False
+    metrics: ClassVar[Mapping[str, Reduction]] = {}
+
+    @abc.abstractmethod
+    def reset(self, key: jax.Array, config: Any, params: Any) -> Any:
+        """The first state of an episode in `config`, one row of the table."""
+
+    @abc.abstractmethod
+    def step(self, key: jax.Array, state: Any, action: jax.Array, params: Any) -> Transition:
+        """One action. What follows an ending is undefined."""
+
+    @abc.abstractmethod
+    def observe(self, key: jax.Array, state: Any, params: Any) -> Any:
+        """What the policy is given, scaled for networks: most of it between -1 and 1."""
+
+    def position(self, state: Any) -> jax.Array | None:
+        """Where it is in the plane, (2,) m, where flights can be drawn on a map; else None."""
+        return None
+
+
+@dataclass(frozen=True)
+class TaskSettings(abc.ABC):
+    """A kind of task with its numbers: extend it by a frozen dataclass, and a run can name it.
+
+    `pecjax.envs.rooms.settings.Rooms` is one; `examples/own_task.py` shows one in a file of its own.
+    """
+
+    @abc.abstractmethod
+    def make(self) -> tuple[Task, World]:
+        """The task and its world, checked against one another.
+
+        Raises:
+            InputError: anything that a user can put right.
+        """
+
+    def files(self) -> dict[str, str]:
+        """The files that it reads, as texts by name, to be kept in a run's folder."""
+        return {}
+
+    def kept_in(self, folder: Path) -> TaskSettings:
+        """The same settings, but reading the files that are kept in `folder`."""
+        return self
+
+    def notices(self, task: Task, world: World) -> tuple[str, ...]:
+        """A line for each thing that is allowed, but seldom meant."""
+        return ()
+
+
+def num_configs(table: Any) -> int:
+    """N, the number of configurations of a table."""
+    return jax.tree.leaves(table)[0].shape[0]
+
+
+def take_configs(table: Any, ids: Any) -> Any:
+    """The configurations of these numbers: a row where `ids` is a scalar, else a table."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[ids], table)

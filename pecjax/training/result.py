@@ -1,0 +1,67 @@
+"""Training from Python: settings go in, a policy and the figures of its training come out."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pecjax.storage.files import Row
+from pecjax.training import train as training
+from pecjax.training.load import Trained, open_run
+from pecjax.training.settings import RunSettings
+from pecjax.training.sinks import Sink
+
+
+class Result(NamedTuple):
+    """What a training came to.
+
+    Attributes:
+        summary: as in summary.json.
+        metrics, evaluation: the rows of both tables.
+        trained: the run with its last learner; `trained.policy()` flies.
+    """
+
+    summary: dict[str, Any]
+    metrics: list[Row]
+    evaluation: list[Row]
+    trained: Trained
+
+
+class _Rows(Sink):
+    def __init__(self) -> None:
+        self.tables: dict[str, list[Row]] = {"metrics": [], "evaluation": []}
+
+    def rows(self, table: str, rows: Sequence[Row]) -> None:
+        self.tables[table].extend(rows)
+
+
+def train(
+    settings: RunSettings = RunSettings(),
+    out: str | Path | None = None,
+    *,
+    devices: int | None = None,
+    sinks: Sequence[Sink] = (),
+) -> Result:
+    """Trains a policy.
+
+    Example:
+        settings = pecjax.set_path(pecjax.RunSettings(), "sampler.alpha", 0.3)
+        result = pecjax.train(settings, "runs/my_run")
+        act = result.trained.policy()
+
+    Args:
+        out: the run's folder; it must be empty or not there. None keeps no files.
+        devices: how many share the environments, all that divide them when None.
+        sinks: listeners to the loop.
+
+    Raises:
+        InputError: settings that cannot be run with.
+        StoppedError, DivergedError: see `pecjax.training.train.train`.
+    """
+    rows = _Rows()
+    with tempfile.TemporaryDirectory() as elsewhere:
+        folder = Path(elsewhere) / "run" if out is None else Path(out)
+        summary = training.train(settings, folder, devices, [rows, *sinks])
+        return Result(summary, **rows.tables, trained=open_run(folder))

@@ -1,0 +1,150 @@
+"""Sinks: who listens to the loop, and what a person sees of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress as Bar, TextColumn, TimeRemainingColumn
+
+from pecjax.runtime.distributed import is_primary
+from pecjax.storage.files import Row
+
+SECONDS_BETWEEN_LINES = 10.0  # where there is no terminal to draw a bar on
+
+
+class Sink:
+    """A listener: extend it and overwrite what is of interest.
+
+    Where several processes share a training, each has sinks; only the first should write.
+    """
+
+    def open(self, runs: Sequence[str], iteration: int) -> None:
+        """The runs begin, or go on after so many iterations."""
+
+    def rows(self, table: str, rows: Sequence[Row]) -> None:
+        """One row of each run: of the table `metrics` after every iteration, of `evaluation` when due."""
+
+    def arrays(self, name: str, iteration: int, arrays: Sequence[dict[str, Any]]) -> None:
+        """Arrays of each run: `configurations` (see `rows.configuration_arrays`) or `episodes`, when due."""
+
+    def close(self) -> None:
+        """The loop has ended, or was stopped."""
+
+
+class Sinks(Sink):
+    """Several sinks as one, open while it is entered."""
+
+    def __init__(self, sinks: Sequence[Sink], runs: Sequence[str], iteration: int) -> None:
+        """See `Sink.open`."""
+        self._sinks = sinks
+        self._begun = runs, iteration
+
+    def __enter__(self) -> Sinks:
+        self.open(*self._begun)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def open(self, runs: Sequence[str], iteration: int) -> None:
+        """Opens all."""
+        for sink in self._sinks:
+            sink.open(runs, iteration)
+
+    def rows(self, table: str, rows: Sequence[Row]) -> None:
+        """Tells all."""
+        for sink in self._sinks:
+            sink.rows(table, rows)
+
+    def arrays(self, name: str, iteration: int, arrays: Sequence[dict[str, Any]]) -> None:
+        """Tells all."""
+        for sink in self._sinks:
+            sink.arrays(name, iteration, arrays)
+
+    def close(self) -> None:
+        """Closes all."""
+        for sink in self._sinks:
+            sink.close()
+
+
+class Progress(Sink):
+    """A live bar over iterations on a terminal, else a line every few seconds, both on stderr."""
+
+    def __init__(self, iterations: int, actions: str) -> None:
+        """Prepares a bar of so many iterations; it shows with the first row.
+
+        Args:
+            actions: of the evaluations, for their lines: greedy or sampled.
+        """
+        self._console = Console(stderr=True, highlight=False, soft_wrap=True, quiet=not is_primary())
+        self._iterations = iterations
+        self._actions = actions
+        self._done = 0
+        self._since: tuple[float, int] | None = None  # when its pace began to count, and at what
+        self._last_line = -SECONDS_BETWEEN_LINES
+        self._bar = Bar(
+            TextColumn("training"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[figures]}"),
+            TimeRemainingColumn(),
+            TextColumn("left"),
+            console=self._console,
+            disable=self._console.quiet or not self._console.is_terminal,
+        )
+        self._task = self._bar.add_task("training", total=iterations, figures="")
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def open(self, runs: Sequence[str], iteration: int) -> None:
+        """Begins to measure the pace."""
+        self._since = self._since or (time.monotonic(), self._done)
+
+    def say(self, line: str) -> None:
+        """Prints a line above the bar."""
+        self._console.print(line, markup=False)
+
+    def skip(self, iterations: int) -> None:
+        """Counts so many iterations as done before."""
+        self._done += iterations
+
+    def rows(self, table: str, rows: Sequence[Row]) -> None:
+        """Advances by an iteration of each run, or prints the line of an evaluation."""
+        ratios = [row["goal_ratio"] for row in rows]
+        if table == "metrics":
+            known = [ratio for ratio in ratios if not np.isnan(ratio)]
+            episodes = sum(row["episodes"] for row in rows)
+            ratio = f"{np.mean(known):.3f} of {episodes} episode(s)" if known else "not known yet"
+            self._advance(
+                len(rows), f"training goal ratio {ratio}", rows[0]["env_steps"] / rows[0]["iteration"]
+            )
+            return
+        self._since = time.monotonic(), self._done  # evaluations are no part of the pace
+        if len(rows) == 1:
+            self.say(
+                f"iteration {rows[0]['iteration']}: goal ratio {ratios[0]:.3f} over "
+                f"{self._actions} episodes of a uniform draw"
+            )
+
+    def _advance(self, iterations: int, figures: str, steps: float) -> None:
+        """Shows that so many more iterations, of so many steps each, are done."""
+        self._done += iterations
+        now = time.monotonic()
+        since, before = self._since or (now, self._done)
+        pace = (self._done - before) / max(now - since, 1e-6)
+        figures += f", {steps * pace:,.0f} steps/s"
+        self._bar.start()
+        self._bar.update(self._task, completed=self._done, figures=figures)
+        due = now - self._last_line >= SECONDS_BETWEEN_LINES or self._done == self._iterations
+        if due and not self._console.is_terminal:
+            self._last_line = now
+            left = f", {(self._iterations - self._done) / pace:.0f} s left" if pace else ""
+            self.say(f"iteration {self._done}/{self._iterations}: {figures}{left}")
