@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import pecjax
-from pecjax.envs.rooms import navigation
+from pecjax.envs.rooms import task
 from pecjax.envs.rooms.clearance import wall_distance
 from pecjax.envs.rooms.flight import DroneState
+from pecjax.envs.rooms.map_file import ENDLESS
 from pecjax.envs.rooms.rotations import heading, heading_to_quaternion
-from pecjax.envs.rooms.scene import ENDLESS, default_scene_path
+from pecjax.envs.rooms.scene import default_scene_path
 
 # The tests of several devices need four, and CPUs can pretend to be. JAX has not started yet: importing
 # pecjax does not (`test_architecture.py`).
@@ -143,21 +144,21 @@ def step(env):
     return jax.jit(env.step)
 
 
-def glide(scene, gains, state, command, num_steps):
+def glide(vehicle, walls, gains, state, command, num_steps):
     """`flight.fly` without physics: the drone takes on the speed and the yaw rate at once."""
-    period = num_steps * scene.model.opt.timestep
+    period = num_steps * vehicle.timestep
     looking = heading(state.qpos[3:]) + period * command.yaw_rate
     velocity = command.speed * jnp.stack([jnp.cos(looking), jnp.sin(looking), jnp.zeros_like(looking)])
     position = state.qpos[:3] + period * velocity
     qpos = jnp.concatenate([position, heading_to_quaternion(looking)])
-    return DroneState(qpos, jnp.concatenate([velocity, jnp.zeros(3)])), wall_distance(scene, position)
+    return DroneState(qpos, jnp.concatenate([velocity, jnp.zeros(3)])), wall_distance(walls, position)
 
 
 @pytest.fixture(scope="module")
 def gliding():
     """For tests of what happens around flights: their programs compile in less than half the time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(navigation, "fly", glide)
+        patch.setattr(task, "fly", glide)
         yield
 
 

@@ -1,44 +1,100 @@
 """Tasks so small that their values are known, and without the edges that rounding can tip over."""
 
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.envs.base import State
+from flax import struct
 
-import pecjax
-from pecjax.envs.rooms.navigation import FlightState
-from pecjax.envs.rooms.vehicle import Camera
-
-FAR = 10.0
+from pecjax.envs.axes import axis
+from pecjax.envs.spaces import Box, Discrete
+from pecjax.envs.task import Task, Transition, World
 
 
-class TwoStates:
+@struct.dataclass
+class Numbers:
+    """Configurations that are just told apart."""
+
+    number: jax.Array = axis("number")
+
+
+WORLD = World((), Numbers(np.arange(3, dtype=np.float32)))
+
+
+class Room(NamedTuple):
+    room: jax.Array
+    config: Numbers
+
+
+class TwoStates(Task):
     """Two rooms A and B. Staying pays 0.1 in A and -0.1 in B; going on leads from A to B for
     nothing, and from B out of it all for 1."""
 
-    scene = type("Scene", (), {"camera": Camera(np.zeros(3), np.eye(3), np.pi / 2, 1, 1, 0.0, FAR)})
-    action_size = 2
+    observation_space = Box((2,), 0.0, 1.0)
+    action_space = Discrete(2)
+    max_steps = 1000
 
-    def place(self, config, heading):
-        zero, no_steps = jnp.zeros(()), jnp.zeros((), jnp.int32)
-        flight = FlightState((heading > 0).astype(jnp.int32), zero, config, no_steps, no_steps)
-        return State(flight, {}, zero, zero, {"goal": zero, "unstable": zero})
+    def reset(self, key, config, params):
+        return Room(jax.random.bernoulli(key).astype(jnp.int32), config)
 
-    def observe(self, state):
-        room = state.pipeline_state.qpos.astype(jnp.float32)
-        return state.replace(obs={"depth": jnp.full((1, 1), 5.0), "goal": jnp.stack([10 * room, 0 * room])})
+    def step(self, key, state, action, params):
+        on, last = action == 1, state.room == 1
+        reward = jnp.where(on, jnp.where(last, 1.0, 0.0), jnp.where(last, -0.1, 0.1))
+        done, never = on & last, jnp.zeros((), bool)
+        return Transition(state._replace(room=jnp.where(on, 1, state.room)), reward, done, never, done, {})
 
-    def advance(self, state, action):
-        flight, on = state.pipeline_state, action == 1
-        room = flight.qpos
-        reward = jnp.where(on, jnp.where(room == 1, 1.0, 0.0), jnp.where(room == 1, -0.1, 0.1))
-        done = (on & (room == 1)).astype(jnp.float32)
-        flight = flight._replace(qpos=jnp.where(on, 1, room), step_count=flight.step_count + 1)
-        return state.replace(
-            pipeline_state=flight,
-            reward=reward,
-            done=done,
-            metrics={"goal": done, "unstable": jnp.zeros(())},
-        )
+    def observe(self, key, state, params):
+        return jnp.stack([1.0 - state.room, 1.0 * state.room])
 
 
-TABLE = pecjax.Configurations(np.zeros((3, 2), np.float32), np.ones((3, 2), np.float32))
+class Counted(NamedTuple):
+    steps: jax.Array
+    config: Numbers
+
+
+class CutOff(Task):
+    """One state that pays 1 a step for ever, of which an episode sees but five steps.
+
+    Its value is 1 / (1 - discount) where the cut is bootstrapped across, and less where it is not.
+    """
+
+    observation_space = Box((1,), 0.0, 1.0)
+    action_space = Discrete(2)
+    max_steps = 5
+    truncates = True
+
+    def reset(self, key, config, params):
+        return Counted(jnp.zeros((), jnp.int32), config)
+
+    def step(self, key, state, action, params):
+        steps = state.steps + 1
+        over, never = steps >= self.max_steps, jnp.zeros((), bool)
+        return Transition(state._replace(steps=steps), jnp.float32(1), never, over, over, {})
+
+    def observe(self, key, state, params):
+        return jnp.ones(1)
+
+
+class Target(Task):
+    """One step: the nearer the action is to the configuration's target, the more it pays, 0 at most."""
+
+    observation_space = Box((1,), -1.0, 1.0)
+    action_space = Box((2,), -2.0, 2.0)
+    max_steps = 1
+    metrics = {"distance": "mean"}  # noqa: RUF012
+
+    def reset(self, key, config, params):
+        return Counted(jnp.zeros((), jnp.int32), config)
+
+    def step(self, key, state, action, params):
+        target = params * (state.config.number - 1)  # of the first part; the second's is 1
+        off = jnp.square(action - jnp.stack([target, jnp.ones(())])).sum()
+        done, near = jnp.ones((), bool), off < 0.25
+        return Transition(state, -off, done, jnp.zeros((), bool), near, {"distance": jnp.sqrt(off)})
+
+    def observe(self, key, state, params):
+        return (state.config.number - 1)[None]
+
+
+TARGET_WORLD = World(jnp.float32(0.8), Numbers(np.arange(3, dtype=np.float32)))

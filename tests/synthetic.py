@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from pecjax.agents.agent import Metrics
-from pecjax.envs.rooms import load_coordinates, load_scene
-from pecjax.envs.rooms.scene import default_scene_path
+from pecjax.agents import Metrics
 from pecjax.studies.catalogue import find_study
+from pecjax.studies.collect import Collected
 from pecjax.studies.directory import StudyDirectory
 from pecjax.studies.grid import StudySettings
-from pecjax.studies.run import _Rows
 from pecjax.training.evaluation import EvalResult
+from pecjax.training.rows import configuration_arrays, episode_arrays, evaluation_row, metrics_row
+from pecjax.training.settings import override
 
 BATCH = 16_384  # environment steps an iteration
 EVALUATIONS, EVERY = 8, 5  # iterations between evaluations
@@ -19,44 +19,62 @@ EPISODES = 10  # of each configuration, a training iteration and an evaluation
 
 
 def study_settings(alphas=(0.2,), seeds=(0, 1, 2), coordinates=("1",), samplers=("pec", "uniform")):
-    run = replace(find_study("fig4", "smoke").run, iterations=EVALUATIONS * EVERY, evaluate_every=EVERY)
-    return StudySettings("made up", run, samplers, alphas, coordinates, seeds, at_once=1)
+    run = override(find_study("fig4", "smoke").run, iterations=EVALUATIONS * EVERY, evaluate_every=EVERY)
+    grid = {"task.table": coordinates, "sampler": samplers, "sampler.alpha": alphas}
+    return StudySettings("made up", run, tuple(grid.items()), seeds, at_once=1)
 
 
 def write_study(folder, settings, ratio, scene=None):
     """Writes a finished study.
 
     Args:
-        ratio: (member, progress in (0, 1]) -> the goal ratio that a run has by then.
+        ratio: (settings of the run, progress in (0, 1]) -> the goal ratio that it has by then.
         scene: the path of a map, for another than the shipped one.
     """
-    path = scene or default_scene_path()
-    tables = {name: load_coordinates(name) for name in settings.coordinates}
+    if scene is not None:
+        settings = replace(settings, run=override(settings.run, scene=(str(scene),)))
     directory = StudyDirectory(folder)
     slices = settings.slices()
-    with directory.open(settings, {name: (path, load_scene(path), tables[name]) for name in tables}, 1):
-        for number, (member,) in enumerate(slices):
-            rows = _Rows(settings, member, BATCH)
+    tasks = dict.fromkeys(settings.settings_of(spec).task for (spec,) in slices)
+    sizes = {task: task.configurations().size for task in tasks}
+    with directory.open(settings, [*tasks], 1):
+        for number, (spec,) in enumerate(slices):
+            of_run = settings.settings_of(spec)
+            collected = Collected([settings.row(spec)])
             for iteration in range(1, EVALUATIONS * EVERY + 1):
-                value = ratio(member, iteration / (EVALUATIONS * EVERY))
-                rows.add_metrics(iteration, made_metrics(tables[member.coordinates].size, value))
-                if iteration % EVERY == 0:
-                    rows.add_evaluation(iteration, made_flights(tables[member.coordinates].size, value))
-            directory.write_slice(number, rows.tables, [])
-        directory.gather(len(slices))
+                value = ratio(of_run, iteration / (EVALUATIONS * EVERY))
+                add(collected, iteration, sizes[of_run.task], value)
+            directory.write_slice(number, collected)
+        directory.merge_tables(len(slices))
     return folder
 
 
-def made_metrics(size, ratio):
+def add(collected, iteration, size, value):
+    """What an iteration of a run leaves, and where it is due the evaluation after it."""
+    steps = iteration * BATCH
+    collected.rows("metrics", [metrics_row(iteration, steps, made_metrics(value))])
+    if iteration % EVERY == 0:
+        counts = made_counts(size, value) * iteration
+        flights = made_flights(size, value)
+        collected.arrays("configurations", iteration, [configuration_arrays(counts, np.full(size, 1 / size))])
+        collected.rows("evaluation", [evaluation_row(iteration, steps, flights, size)])
+        collected.arrays("episodes", iteration, [episode_arrays(flights, with_paths=False)])
+
+
+def made_counts(size, ratio):
     trials = np.full(size, EPISODES)
-    counts = np.stack(
-        [trials, np.round(trials * (1 - ratio) * np.linspace(0.5, 1.5, size)).clip(0, EPISODES)]
-    )
+    failures = np.round(trials * (1 - ratio) * np.linspace(0.5, 1.5, size)).clip(0, EPISODES)
+    return np.stack([trials, failures]).astype(int)
+
+
+def made_metrics(ratio):
     failed = round(1000 * (1 - ratio))
-    return Metrics(counts.astype(int), np.array([1000, failed]), np.array(100.0), np.array(9.0), 0, {}, {})
+    return Metrics(
+        np.array(1000), np.array([1000, failed]), {"return": np.array(100.0), "length": np.array(9.0)}, {}, {}
+    )
 
 
 def made_flights(size, ratio):
     config_id = np.repeat(np.arange(size), EPISODES)
-    goal = np.arange(config_id.size) % EPISODES < round(EPISODES * ratio)
-    return EvalResult(config_id, goal, 2000.0 * goal, np.full(goal.shape, 3), np.zeros((goal.size, 4, 2)))
+    success = np.arange(config_id.size) % EPISODES < round(EPISODES * ratio)
+    return EvalResult(config_id, success, 2000.0 * success, np.full(success.shape, 3), {}, None)
