@@ -46,8 +46,9 @@ class Learnability(SamplerSettings):
 
 def main(scale: str = "smoke", folder: Path = Path("studies")) -> None:
     """Trains each sampler from the same seeds, and prints how they compare."""
-    samplers = (f"{__name__}:Learnability", "pec", "uniform")
-    study = replace(find_study("fig4", scale), name="own", samplers=samplers, at_once=len(jax.devices()))
+    grid = {"sampler": (f"{__name__}:Learnability", "pec", "uniform"), "sampler.alpha": (0.2,)}
+    study = find_study("fig4", scale)
+    study = replace(study, name="own", grid=tuple(grid.items()), at_once=len(jax.devices()))
     run_study(study, folder / f"own-sampler-{scale}")
     print(write_report(folder / f"own-sampler-{scale}"))
 

@@ -34,8 +34,8 @@ def resolve(name: str, base: type[T], package: str) -> type[T]:
     """The kind of that name.
 
     Args:
-        name: of a module or package within `package` that defines one kind, of an entry point in the group that is
-            called as the package is, or an address.
+        name: of a module or package within `package` that defines one kind, of an entry point in the
+            group that is called as the package is, or an address.
         base: what it is a kind of.
 
     Raises:

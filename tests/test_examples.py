@@ -4,25 +4,76 @@ import importlib
 import sys
 from pathlib import Path
 
+import jax
+import numpy as np
 import pandas as pd
 import pytest
+from contract_task import check_task
+
+from pecjax.envs.task import take_configs
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 @pytest.fixture(autouse=True)
-def around_flights(gliding):
+def around_flights(gliding, monkeypatch):
     """What is tested here does not depend on how the drone flies."""
+    monkeypatch.setattr(sys, "path", [*sys.path, str(EXAMPLES)])
 
 
 def test_examples_are_short():
     for path in EXAMPLES.glob("*.py"):
-        assert path.read_text().count("\n") <= 80 and "def main(" in path.read_text(), path
+        assert path.read_text().count("\n") < 80 and "def main(" in path.read_text(), path
+
+
+def test_the_tasks_of_the_examples_keep_to_the_contract():
+    assert check_task(*importlib.import_module("own_task").PuckSettings().make(), steps=210) > 0
+    assert check_task(*importlib.import_module("many_maps").Halls(number=5).make(), steps=40) > 0
+
+
+@pytest.mark.parametrize(("iterations", "least"), [(2, 0.0), pytest.param(80, 0.9, marks=pytest.mark.slow)])
+def test_a_task_of_ones_own(iterations, least):
+    row = importlib.import_module("own_task").main(iterations)
+    assert row["goal_ratio"] >= least and 0 < row["effort"] < 1
+
+
+def test_an_axis_of_ones_own_is_read_flown_and_kept(tmp_path, capsys):
+    example = importlib.import_module("own_axis")
+    ratios = example.main(iterations=2, episodes=1, folder=tmp_path / "fog")
+    assert ratios.shape == (3,) and np.isfinite(ratios).all()
+    assert "visibility" in capsys.readouterr().out
+    kept = (tmp_path / "fog" / "run" / "coordinates.csv").read_text().splitlines()
+    assert kept[0] == "# start_x,start_y,goal_x,goal_y,visibility" and kept[2] == "0,-2,5,-2,2"
+    task, world = example.FoggyRooms(table=str(tmp_path / "fog" / "fog.csv")).make()
+    assert check_task(task, world, steps=30) > 0
+    key = jax.random.key(3)
+    seen = [
+        task.observe(key, task.reset(key, take_configs(world.table, row), None), world.params)["depth"]
+        for row in range(3)
+    ]
+    np.testing.assert_array_equal(seen[1], np.minimum(seen[0], 0.2))  # 2 m of 10
+    np.testing.assert_allclose(seen[2], np.minimum(seen[0], 0.05))
+
+
+@pytest.mark.parametrize(
+    ("iterations", "number", "least"), [(2, 50, 0.0), pytest.param(100, 1000, 0.8, marks=pytest.mark.slow)]
+)
+def test_many_maps(iterations, number, least, capsys):
+    seen, unseen = importlib.import_module("many_maps").main(iterations, number)
+    assert least <= seen <= 1 and least <= unseen <= 1
+    assert "never seen" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("iterations", "least"), [(2, 0.0), pytest.param(100, 0.6, marks=pytest.mark.slow)])
+def test_an_environment_of_gymnax(iterations, least):
+    pytest.importorskip("gymnax")
+    example = importlib.import_module("gymnax_cartpole")
+    assert check_task(*example.Poles().make(), steps=60) > 0
+    assert example.main(iterations) >= least
 
 
 @pytest.mark.slow
-def test_a_sampler_of_ones_own(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "path", [*sys.path, str(EXAMPLES)])
+def test_a_sampler_of_ones_own(tmp_path, capsys):
     importlib.import_module("own_sampler").main("smoke", tmp_path)
     results = pd.read_csv(tmp_path / "own-sampler-smoke" / "results.csv")
     assert set(results.sampler) == {"own_sampler:Learnability", "pec", "uniform"}

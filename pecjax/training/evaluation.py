@@ -36,6 +36,10 @@ class EvalResult(NamedTuple):
     metrics: dict[str, Any]
     paths: Any
 
+    def goal_ratios(self) -> np.ndarray:
+        """Share of successes (N,) of each configuration up to the last that was flown."""
+        return success_by_config(self.config_id, self.success, int(self.config_id.max()) + 1)
+
 
 def stratified_config_ids(num_configs: int, episodes: int, seed: int) -> np.ndarray:
     """E configuration numbers, every configuration as often as any other.

@@ -7,9 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pecjax.envs.task import World
 from pecjax.runtime.devices import choose_num_devices
-from pecjax.training.build import Run, abstract_state, build
+from pecjax.training.build import Run, abstract_state, build, everywhere
 from pecjax.training.checkpoint import Checkpoints
+from pecjax.training.evaluation import EvalResult
+from pecjax.training.program import compile_evaluator
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.settings import RunSettings
 
@@ -32,6 +35,20 @@ class Trained(NamedTuple):
     def policy(self, greedy: bool = True) -> Callable[[Any, Any], Any]:
         """act(obs, key) -> action for a single observation of `run.task`; it can be jitted."""
         return self.run.agent.policy(self.learner, greedy)
+
+    def evaluator(self) -> Callable[..., EvalResult]:
+        """fly(world=None) -> flights, as the run's settings evaluate it.
+
+        It is compiled once; another world of the same shapes, such as maps that were never seen, compiles
+        nothing.
+        """
+        compiled = compile_evaluator(self.run, self.settings, self.learner)
+
+        def fly(world: World | None = None) -> EvalResult:
+            there = self.run.world if world is None else everywhere(world, self.run.mesh)
+            return compiled(self.learner, there)
+
+        return fly
 
 
 def open_run(folder: Path, checkpoint: int | None = None) -> Trained:

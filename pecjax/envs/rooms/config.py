@@ -80,20 +80,24 @@ COORDINATE_SET_2 = _there_and_back([
 _SETS = {"1": COORDINATE_SET_1, "2": COORDINATE_SET_2}
 
 
-def load_coordinates(name: str | Path) -> Configurations:
+def load_coordinates(name: str | Path, kind: type[Configurations] = Configurations) -> Configurations:
     """Reads a set of coordinates: `1` or `2` for the paper's, else the path of a text file.
 
     `configuration_files.read_table` says what a file may look like. Without a header a line is start
     x, start y, goal x, goal y in metres.
 
+    Args:
+        kind: the class of the table, which may have further axes.
+
     Raises:
         InputError: no such set or file, or one that is no table of configurations.
     """
     if str(name) in _SETS:
-        return _SETS[str(name)]
+        known = _SETS[str(name)]
+        return known if kind is Configurations else fill(kind(known.start, known.goal))
     if not Path(name).is_file():
         raise InputError(f"coordinates '{name}': neither 1 nor 2 nor a file; give one of these")
-    return read_table(Path(name), Configurations)
+    return read_table(Path(name), kind)
 
 
 def row_name(source: str | Path | None, row: int) -> str:

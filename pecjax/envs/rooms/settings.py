@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from pecjax.envs.configuration_files import table_text
 from pecjax.envs.rooms.config import Configurations, load_coordinates
@@ -30,6 +31,10 @@ class Rooms(NavigationSettings, TaskSettings):
         resolution: (width, height) of the depth image; None for what the first map's camera says.
     """
 
+    # For tasks of one's own that extend this one: see `examples/own_axis.py`.
+    task_kind: ClassVar[type[RoomsTask]] = RoomsTask
+    configurations_kind: ClassVar[type[Configurations]] = Configurations
+
     table: str = "1"
     maps: tuple[str, ...] = ()
     resolution: tuple[int, int] | None = None
@@ -41,9 +46,8 @@ class Rooms(NavigationSettings, TaskSettings):
             InputError: a file that is not there or is wrong, maps whose drones differ, a timestep that
                 does not fit, or a configuration that cannot be flown.
         """
-        table = load_coordinates(self.table)
-        scenes = self.scenes()
-        task = RoomsTask(scenes[0].vehicle, self)
+        table, scenes = self.configurations(), self.scenes()
+        task = self.task_kind(scenes[0].vehicle, self)
         check_configurations(
             [scene.map for scene in scenes], table, task.vehicle.radius, self.flight_height, self.table
         )
@@ -79,7 +83,7 @@ class Rooms(NavigationSettings, TaskSettings):
 
     def configurations(self) -> Configurations:
         """The table."""
-        return load_coordinates(self.table)
+        return load_coordinates(self.table, self.configurations_kind)
 
     def kept_in(self, folder: Path) -> Rooms:
         """The same settings, but reading the files that are kept in `folder`."""
