@@ -51,7 +51,7 @@ def touches_in_mujoco(scene, points):
 def test_a_drone_collides_where_mujoco_finds_a_contact(which, request):
     scene = request.getfixturevalue(which)
     points = points_about(scene, seed=0).astype(np.float32)
-    distance = np.asarray(jax.jit(lambda p: wall_distance(scene, p))(points))
+    distance = np.asarray(jax.jit(lambda p: wall_distance(scene.walls, p))(points))
     expected = np.array([plain_distance(scene, point) for point in points])
     np.testing.assert_allclose(distance, expected, atol=2e-6)  # float32 at 10 m
     certain = np.abs(expected - scene.drone_radius) > TOUCHING
@@ -63,5 +63,5 @@ def test_a_drone_collides_where_mujoco_finds_a_contact(which, request):
 
 def test_distance_keeps_the_shape_of_the_points_and_is_zero_inside(scene):
     centres = jnp.asarray((scene.wall_lower + scene.wall_upper) / 2, jnp.float32).reshape(2, 7, 3)
-    np.testing.assert_array_equal(wall_distance(scene, centres), np.zeros((2, 7)))
-    assert wall_distance(scene, centres[0, 0]).shape == ()
+    np.testing.assert_array_equal(wall_distance(scene.walls, centres), np.zeros((2, 7)))
+    assert wall_distance(scene.walls, centres[0, 0]).shape == ()

@@ -7,9 +7,10 @@ from hypothesis.extra.numpy import arrays
 from jax import numpy as jnp
 
 import pecjax
+from pecjax.envs.axes import fill
 from pecjax.envs.configuration_files import table_text
 from pecjax.envs.rooms.clearance import wall_distance
-from pecjax.envs.rooms.notices import world_notices
+from pecjax.envs.rooms.notices import map_notices
 from pecjax.envs.rooms.validity import free_regions
 
 HEIGHT = 1.2
@@ -37,6 +38,10 @@ def plug(door):
     return ("<light", wall + "<light")
 
 
+def world_notices(scene, table):
+    return map_notices([scene.map], fill(table), scene.vehicle, pecjax.NavigationSettings())
+
+
 def check(scene, *rows):
     table = np.array(rows, np.float32)
     pecjax.check_coordinates(scene, pecjax.Configurations(table[:, :2], table[:, 2:]), flight_height=HEIGHT)
@@ -51,7 +56,7 @@ def clearance(scene):
         along = jnp.linspace(0, 1, 2001)[:, None, None]
         points = starts + along * (goals - starts)
         level = jnp.full((*points.shape[:2], 1), HEIGHT)
-        return wall_distance(scene, jnp.concatenate([points, level], axis=-1)).min(axis=0)
+        return wall_distance(scene.walls, jnp.concatenate([points, level], axis=-1)).min(axis=0)
 
     return lambda table: np.asarray(distance(table.start, table.goal))
 
@@ -103,7 +108,7 @@ def test_both_sets_can_be_flown(scene, table):
 
 def regions(scene):
     """room -> number of the connected region it lies in."""
-    labels, origin = free_regions(scene, HEIGHT)
+    labels, origin = free_regions(scene.map, scene.drone_radius, HEIGHT)
     cell = {room: np.round((np.array(place) - origin) / 0.05).astype(int) for room, place in ROOMS.items()}
     return {room: int(labels[tuple(at)]) for room, at in cell.items()}
 
@@ -292,7 +297,7 @@ def test_a_door_must_let_the_drone_through(edited_rooms, width, fits):
 def test_a_point_that_counts_as_a_collision_is_refused(scene):
     # The task ends where the distance is at most the radius; 7.65 leaves 0.25 m to the east wall.
     x = np.float32(7.65)
-    gap = wall_distance(scene, jnp.array([x, -2, HEIGHT]))
+    gap = wall_distance(scene.walls, jnp.array([x, -2, HEIGHT]))
     assert gap <= scene.drone_radius
     with pytest.raises(pecjax.InputError, match="configuration 0: start"):
         check(scene, (x, -2, 5, -2))

@@ -52,7 +52,7 @@ def seen_by_mujoco(model, position, quaternion, near, far):
 def test_agrees_with_mujoco_rays_at_any_attitude(which, request):
     scene = request.getfixturevalue(which)
     positions, quaternions = poses(scene, seed=1)
-    camera = scene.camera
+    camera = scene.vehicle.camera
     expected = np.array([
         seen_by_mujoco(scene.model, *pose, camera.near, camera.far)
         for pose in zip(positions, quaternions, strict=True)
@@ -86,7 +86,7 @@ def test_rays_along_and_within_wall_faces_give_numbers(scene, place, turn):
     quaternion = np.array([np.cos(half), 0, 0, np.sin(half)]).round(7)
     image = pecjax.depth_image(odd, jnp.array(place), jnp.asarray(quaternion, jnp.float32))
     assert np.all(np.isfinite(image))
-    assert np.all((image >= odd.camera.near) & (image <= odd.camera.far))
+    assert np.all((image >= odd.vehicle.camera.near) & (image <= odd.vehicle.camera.far))
 
 
 def test_straight_ahead_reads_the_distance_to_the_wall(scene):
@@ -101,7 +101,7 @@ def test_a_camera_inside_a_wall_sees_what_mujoco_sees(scene):
     walls = rng.integers(0, 14, 20)
     inside = rng.uniform(scene.wall_lower[walls], scene.wall_upper[walls])
     _, quaternions = poses(scene, seed=3)
-    camera, off = scene.camera, []
+    camera, off = scene.vehicle.camera, []
     single = jax.jit(lambda p, q: pecjax.depth_image(scene, p, q))
     for eye, quaternion in zip(inside, quaternions[:20], strict=True):
         turn = np.zeros(9)

@@ -48,8 +48,8 @@ def fly_all(scene, gains=pecjax.ControllerGains(), dtype=np.float32):
 
     def fly(state, speeds, yaw_rates):
         def step(state, command):
-            controls = rotor_controls(scene, gains, state, Command(*command, HEIGHT))
-            state = physics_step(scene, state, controls)
+            controls = rotor_controls(scene.vehicle, gains, state, Command(*command, HEIGHT))
+            state = physics_step(scene.vehicle, state, controls)
             return state, (*state, controls)
 
         return jax.lax.scan(step, state, (speeds, yaw_rates))[1]
@@ -111,7 +111,7 @@ def test_in_double_precision_the_match_is_to_rounding(which, other_map):
 
 
 def test_the_controller_flies_c_mujoco_as_it_flies_mjx(scene, flights):
-    controller = jax.jit(lambda *args: rotor_controls(scene, pecjax.ControllerGains(), *args))
+    controller = jax.jit(lambda *args: rotor_controls(scene.vehicle, pecjax.ControllerGains(), *args))
     data = mujoco.MjData(scene.model)
     data.qpos[:] = start().qpos
     speeds, yaw_rates = (c[list(FLIGHTS).index("varied")] for c in commands(scene.model.opt.timestep))
@@ -191,8 +191,8 @@ def test_rotor_controls_keep_their_limits(scene, flights, flights_without_feed_f
     for flown in (flights, flights_without_feed_forward):
         for _, _, controls in flown.values():
             # Rounding may carry a control past its limit by a unit in the last place of 8 N.
-            assert np.all(controls >= scene.rotors.lower - 1e-6)
-            assert np.all(controls <= scene.rotors.upper + 1e-6)
+            assert np.all(controls >= scene.vehicle.rotors.lower - 1e-6)
+            assert np.all(controls <= scene.vehicle.rotors.upper + 1e-6)
     assert min(controls.min() for _, _, controls in flights.values()) < 1e-3  # a limit was met
 
 
@@ -200,8 +200,8 @@ def test_mixing_gives_the_thrust_and_torque_asked_for(scene):
     rng = np.random.default_rng(0)
     thrust = np.float32(rng.uniform(8, 24, 1000))
     torque = np.float32(rng.uniform(-1, 1, (1000, 3)) * (0.3, 0.3, 0.015))
-    controls = np.asarray(jax.vmap(lambda f, t: allocate_rotors(scene, f, t))(thrust, torque))
-    made = controls @ scene.rotors.wrench.T
+    controls = np.asarray(jax.vmap(lambda f, t: allocate_rotors(scene.vehicle, f, t))(thrust, torque))
+    made = controls @ scene.vehicle.rotors.wrench.T
     np.testing.assert_allclose(made, np.column_stack([thrust, torque]), atol=2e-5)
 
 
@@ -210,20 +210,20 @@ def test_yaw_gives_way_first(scene):
     thrust = np.float32(rng.uniform(8, 24, 1000))
     torque = np.float32(rng.uniform(-1, 1, (1000, 3)) * (0.3, 0.3, 0) + (0, 0, 1))
     torque[:500, 2] = -1
-    controls = np.asarray(jax.vmap(lambda f, t: allocate_rotors(scene, f, t))(thrust, torque))
-    made = controls @ scene.rotors.wrench.T
+    controls = np.asarray(jax.vmap(lambda f, t: allocate_rotors(scene.vehicle, f, t))(thrust, torque))
+    made = controls @ scene.vehicle.rotors.wrench.T
     np.testing.assert_allclose(made[:, :3], np.column_stack([thrust, torque[:, :2]]), atol=2e-5)
     assert np.all(np.sign(made[:, 3]) == torque[:, 2])
     assert np.all(np.abs(made[:, 3]) < 0.3)
     # It gives way no more than it must: some rotor stands at a limit.
-    room = np.minimum(controls - scene.rotors.lower, scene.rotors.upper - controls).min(axis=1)
+    room = np.minimum(controls - scene.vehicle.rotors.lower, scene.vehicle.rotors.upper - controls).min(axis=1)
     np.testing.assert_allclose(room, 0, atol=1e-5)
 
 
 def test_mixing_keeps_the_limits_whatever_is_asked(scene):
     rng = np.random.default_rng(2)
     thrust, torque = np.float32(rng.normal(15, 30, 1000)), np.float32(rng.normal(0, 10, (1000, 3)))
-    controls = np.asarray(jax.vmap(lambda f, t: allocate_rotors(scene, f, t))(thrust, torque))
+    controls = np.asarray(jax.vmap(lambda f, t: allocate_rotors(scene.vehicle, f, t))(thrust, torque))
     assert np.all((controls >= -1e-5) & (controls <= 8 + 1e-5))
 
 

@@ -38,12 +38,13 @@ def furnished(tmp_path_factory):
 @pytest.fixture(scope="module")
 def with_plane(furnished):
     """As of a floor without end: one more box, very wide."""
-    return dataclasses.replace(
-        furnished,
-        wall_lower=np.vstack([furnished.wall_lower, [-1e6, -1e6, -1.0]]),
-        wall_upper=np.vstack([furnished.wall_upper, [1e6, 1e6, 0.0]]),
-        wall_names=(*furnished.wall_names, "plane"),
+    wider = dataclasses.replace(
+        furnished.map,
+        lower=np.vstack([furnished.wall_lower, [-1e6, -1e6, -1.0]]),
+        upper=np.vstack([furnished.wall_upper, [1e6, 1e6, 0.0]]),
+        names=(*furnished.map.names, "plane"),
     )
+    return dataclasses.replace(furnished, map=wider)
 
 
 def drawn(scene):
@@ -51,7 +52,7 @@ def drawn(scene):
     axes = Figure().subplots()
     floor_plan(axes, scene)
     walls = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
-    return axes, dict(zip(scene.wall_names, walls, strict=True))
+    return axes, dict(zip(scene.map.names, walls, strict=True))
 
 
 def filled(patch):
@@ -110,7 +111,7 @@ def test_starts_goals_and_ways_can_be_told_apart(furnished):
     assert sorted(dots) == [[-2, 0], [4.5, 0]]
     ways = [patch for patch in axes.patches if isinstance(patch, FancyArrowPatch)]
     assert [way._posA_posB for way in ways] == [
-        [pytest.approx(a), pytest.approx(b)] for a, b in zip(*TABLE, strict=True)
+        [pytest.approx(a), pytest.approx(b)] for a, b in zip(TABLE.start, TABLE.goal, strict=True)
     ]
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == [
@@ -127,7 +128,7 @@ def test_the_legend_names_what_flights_there_are_and_fits(ended, furnished):
         {
             "episode": [0, 0, 1, 1],
             "config": [0, 0, 1, 1],
-            "goal": np.repeat(ended, 2),
+            "success": np.repeat(ended, 2),
             "step": [0, 1] * 2,
             "x": [0.0, 1, 2, 3],
             "y": [0.0, 0, 1, 1],
@@ -146,6 +147,6 @@ def test_the_legend_names_what_flights_there_are_and_fits(ended, furnished):
 def test_ways_of_a_study_keep_their_colours(scene):
     axes = Figure().subplots()
     ratios = np.linspace(0.5, 1, 20)
-    shade = success(axes, scene, pecjax.COORDINATE_SET_1, ratios)
+    shade = success(axes, scene, pecjax.COORDINATE_SET_1, ratios, pecjax.NavigationSettings())
     ways = [patch for patch in axes.patches if isinstance(patch, FancyArrowPatch)]
     assert [way.get_edgecolor() for way in ways] == [to_rgba(shade.to_rgba(ratio)) for ratio in ratios]

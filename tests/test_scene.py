@@ -7,7 +7,7 @@ import pecjax
 from pecjax.envs.rooms.clearance import wall_distance
 from pecjax.envs.rooms.flight import hover, physics_step
 from pecjax.envs.rooms.mjcf_file import read_mjcf
-from pecjax.envs.rooms.scene import ENDLESS
+from pecjax.envs.rooms.map_file import ENDLESS
 
 CAMERA = (
     '<camera name="depth" pos="0.1 0 0" xyaxes="0 -1 0 0 0 1" fovy="73.7398" resolution="16 12"/>',
@@ -21,20 +21,20 @@ EAST = hover(jnp.array([0.0, -2.0, 1.2]), jnp.array(0.0))
 
 def test_reads_the_walls_of_the_six_rooms(scene):
     assert scene.wall_lower.shape == scene.wall_upper.shape == (14, 3)
-    assert len(set(scene.wall_names)) == 14
-    door = scene.wall_names.index("west_b")
+    assert len(set(scene.map.names)) == 14
+    door = scene.map.names.index("west_b")
     np.testing.assert_allclose(scene.wall_lower[door], (-6.3, -0.3, 0), atol=1e-12)
     np.testing.assert_allclose(scene.wall_upper[door], (-6.1, 1, 2.5), atol=1e-12)
 
 
 def test_reads_the_drone(scene):
     assert scene.drone_radius == 0.25
-    assert scene.mass == 1.477
-    np.testing.assert_array_equal(scene.inertia, (0.01152, 0.01152, 0.0218))
+    assert scene.vehicle.mass == 1.477
+    np.testing.assert_array_equal(scene.vehicle.inertia, (0.01152, 0.01152, 0.0218))
 
 
 def test_reads_the_camera(scene):
-    camera = scene.camera
+    camera = scene.vehicle.camera
     assert (camera.width, camera.height, camera.near, camera.far) == (16, 12, 0.1, 10.0)
     np.testing.assert_allclose(camera.position, (0.1, 0, 0))
     # 73.74 degrees high at 4:3 is 90 degrees wide.
@@ -48,14 +48,14 @@ def test_rotor_wrench_is_force_and_lever_arm(scene):
     # A thrust F along z at (x, y) turns about x by y·F and about y by -x·F.
     x, y = arm * np.array([1, -1, -1, 1]), arm * np.array([1, 1, -1, -1])
     expected = [np.ones(4), y, -x, reaction * np.array([1, -1, 1, -1])]
-    np.testing.assert_allclose(scene.rotors.wrench, expected, atol=1e-9)
-    np.testing.assert_array_equal(scene.rotors.lower, np.zeros(4))
-    np.testing.assert_array_equal(scene.rotors.upper, np.full(4, 8.0))
+    np.testing.assert_allclose(scene.vehicle.rotors.wrench, expected, atol=1e-9)
+    np.testing.assert_array_equal(scene.vehicle.rotors.lower, np.zeros(4))
+    np.testing.assert_array_equal(scene.vehicle.rotors.upper, np.full(4, 8.0))
 
 
 def test_reads_nested_and_turned_walls_and_passes_over_what_is_for_show(other_scene):
     corners = zip(other_scene.wall_lower, other_scene.wall_upper, strict=True)
-    walls = dict(zip(other_scene.wall_names, corners, strict=True))
+    walls = dict(zip(other_scene.map.names, corners, strict=True))
     assert set(walls) == {"floor", "south", "north", "west", "east", "partition", "pillar"}
     expected = {
         "west": ((-4.15, -4, 0), (-3.85, 4, 3)),
@@ -66,9 +66,9 @@ def test_reads_nested_and_turned_walls_and_passes_over_what_is_for_show(other_sc
     }
     for name, box in expected.items():
         np.testing.assert_allclose(walls[name], box, atol=1e-6, err_msg=name)
-    assert (other_scene.drone_radius, other_scene.mass) == (0.18, 0.9)
-    assert (other_scene.camera.width, other_scene.camera.height) == (20, 11)
-    assert (other_scene.camera.near, other_scene.camera.far) == (0.2, 6.0)
+    assert (other_scene.drone_radius, other_scene.vehicle.mass) == (0.18, 0.9)
+    assert (other_scene.vehicle.camera.width, other_scene.vehicle.camera.height) == (20, 11)
+    assert (other_scene.vehicle.camera.near, other_scene.vehicle.camera.far) == (0.2, 6.0)
 
 
 def test_what_is_only_for_show_may_need_files_which_are_never_opened(scene, edited_rooms):
@@ -79,9 +79,11 @@ def test_what_is_only_for_show_may_need_files_which_are_never_opened(scene, edit
       <geom type="hfield" hfield="hill" contype="0" conaffinity="0"/>"""
     path = edited_rooms(("<worldbody>", assets), (HULL, HULL_MESH), (WALL, WALL + ' material="wooden"'))
     shown = pecjax.load_scene(path)
-    for name in ("wall_lower", "wall_upper", "mass", "inertia"):
+    for name in ("wall_lower", "wall_upper"):
         np.testing.assert_array_equal(getattr(shown, name), getattr(scene, name))
-    assert shown.wall_names == scene.wall_names
+    for name in ("mass", "inertia"):
+        np.testing.assert_array_equal(getattr(shown.vehicle, name), getattr(scene.vehicle, name))
+    assert shown.map.names == scene.map.names
     kept = read_mjcf(path).text
     assert "file=" not in kept and 'mesh="hat"' not in kept
 
@@ -90,18 +92,18 @@ def test_a_plane_is_the_half_space_behind_it(edited_rooms):
     ground = '<geom name="ground" type="plane" size="3 3 1" pos="1 1 0.2"/>'
     west = '<geom name="west" type="plane" size="0 0 1" pos="-12 0 0" zaxis="1 0 0"/>'
     scene = pecjax.load_scene(edited_rooms(("<light", f"{ground}{west}<light")))
-    walls = [scene.wall_names.index(name) for name in ("ground", "west")]
+    walls = [scene.map.names.index(name) for name in ("ground", "west")]
     far = ENDLESS
     np.testing.assert_allclose(scene.wall_lower[walls], [(-far, -far, -far), (-far, -far, -far)])
     np.testing.assert_allclose(scene.wall_upper[walls], [(far, far, 0.2), (-12, far, far)])
     # The map is as large as its boxes, and as far as the plane that stands.
-    np.testing.assert_allclose(scene.bounds, [(-12, -10.1), (8.1, 8.1)])
+    np.testing.assert_allclose(scene.map.bounds, [(-12, -10.1), (8.1, 8.1)])
 
 
 def test_bounds_are_those_of_the_boxes(scene, other_scene):
     for which in (scene, other_scene):
         corners = np.concatenate([which.wall_lower, which.wall_upper])[:, :2]
-        np.testing.assert_array_equal(which.bounds, [corners.min(axis=0), corners.max(axis=0)])
+        np.testing.assert_array_equal(which.map.bounds, [corners.min(axis=0), corners.max(axis=0)])
 
 
 def test_a_map_and_the_map_that_is_saved_of_it_are_the_same(edited_rooms, other_map, tmp_path):
@@ -132,7 +134,7 @@ def odd_edits(rng):
 
 def test_resolution_may_be_asked_for():
     scene = pecjax.load_scene(resolution=(64, 48))
-    assert (scene.camera.width, scene.camera.height) == (64, 48)
+    assert (scene.vehicle.camera.width, scene.vehicle.camera.height) == (64, 48)
     assert pecjax.depth_image(scene, *np.split(EAST.qpos, [3])).shape == (48, 64)
 
 
@@ -143,7 +145,7 @@ def test_moving_a_wall_moves_what_is_seen_and_what_is_hit(scene, edited_rooms):
         seen = pecjax.depth_image(which, EAST.qpos[:3], EAST.qpos[3:])
         np.testing.assert_allclose(seen[5:7, 7:9], face - 0.1, atol=1e-5)
         expected = min(face - 4.5, 1.9)  # the east wall, or the south wall's face at y = -3.9
-        np.testing.assert_allclose(wall_distance(which, spot), expected, atol=1e-5)
+        np.testing.assert_allclose(wall_distance(which.walls, spot), expected, atol=1e-5)
 
 
 def test_turning_and_shifting_the_camera_changes_what_is_seen(edited_rooms):
@@ -165,7 +167,9 @@ def test_mass_inertia_and_rotor_arms_move_the_physics(scene, edited_rooms):
     )
     dt = scene.model.opt.timestep
     for which, mass, roll in ((scene, 1.477, 0.1945 / 0.01152), (other, 2.954, 0.389 / 0.02304)):
-        velocity = jax.jit(lambda u, s=which: physics_step(s, EAST, u).qvel)(jnp.array([1.0, 0, 0, 0]))
+        velocity = jax.jit(lambda u, s=which: physics_step(s.vehicle, EAST, u).qvel)(
+            jnp.array([1.0, 0, 0, 0])
+        )
         np.testing.assert_allclose(velocity[2:4], [(1 / mass - 9.81) * dt, roll * dt], rtol=1e-4)
 
 
