@@ -23,6 +23,7 @@ from pecjax.errors import InputError
 
 T = TypeVar("T")
 KIND = "kind"  # the key of a kind's address in JSON
+MAX_SHOWN = 100  # characters of a value in a message
 
 
 def address(kind: type) -> str:
@@ -147,7 +148,12 @@ def differences(before: Any, now: Any, name: str = "") -> Iterator[str]:
         for key in {**before, **now}:
             yield from differences(before.get(key), now.get(key), f"{name}.{key}".lstrip("."))
     elif before != now:
-        yield f"{name} ({before!r} there, {now!r} here)"
+        yield f"{name} ({_in_short(before)} there, {_in_short(now)} here)"
+
+
+def _in_short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
 
 
 def nearest(word: str, known: list[str]) -> str:

@@ -25,7 +25,7 @@ class Distribution(NamedTuple):
         num_params: P.
         noise: (key) -> all the randomness of one draw.
         draw: (params, noise) -> what is drawn.
-        mode: (params) -> the likeliest.
+        mode: (params) -> the likeliest that is drawn.
         action: (drawn) -> the environment's action.
         log_prob: (params, drawn) -> (…,), of the action.
         kl: (old params, new params) -> (…,), KL(old ‖ new).
@@ -106,6 +106,10 @@ def tanh_normal(space: Box) -> Distribution:
         mean, scale = parts(params)
         return mean + scale * noise
 
+    def action(drawn: jax.Array) -> jax.Array:
+        # A rounded sum may pass the bound.
+        return jnp.clip(space.low + half * (jnp.tanh(drawn) + 1), space.low, space.high)
+
     def stretch(drawn: jax.Array) -> jax.Array:
         """Log |∂ action / ∂ drawn|, log(1 - tanh² u) = 2 (log 2 - u - softplus(-2 u)) where tanh is 1."""
         squashed = 2 * (jnp.log(2.0) - drawn - jax.nn.softplus(-2 * drawn))
@@ -130,7 +134,7 @@ def tanh_normal(space: Box) -> Distribution:
         lambda key: jax.random.normal(key, (size,)),
         draw,
         lambda params: parts(params)[0],
-        lambda drawn: space.low + half * (jnp.tanh(drawn) + 1),
+        action,
         log_prob,
         kl,
         entropy,

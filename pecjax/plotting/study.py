@@ -16,7 +16,8 @@ from pecjax.plotting.study_ends import alphas, maps, steps_to_threshold
 from pecjax.plotting.style import save
 from pecjax.studies.directory import StudyDirectory
 from pecjax.studies.grid import space_name
-from pecjax.studies.report import StudyTables, by_run, read_study, varied_columns
+from pecjax.studies.report import by_run
+from pecjax.studies.tables import StudyTables, read_study, varied_columns
 from pecjax.training.kinds import AGENT_LABELS, kind_name
 
 

@@ -11,8 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pecjax.plotting.style import RATIO_LIMITS, SMOOTHED_ITERATIONS, steps_axis, whole_ticks
-from pecjax.studies.report import THRESHOLDS, StudyTables
+from pecjax.studies.report import THRESHOLDS
 from pecjax.studies.statistics import interval, trial_and_failure_ratios
+from pecjax.studies.tables import StudyTables
 
 # Colours that stay apart in grey with the dashes and marks beside them (Okabe & Ito).
 STYLES = (

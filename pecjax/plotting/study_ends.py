@@ -15,8 +15,9 @@ from pecjax.envs.task import take_configs
 from pecjax.plotting.maps import success
 from pecjax.plotting.study_curves import INTERVALS, STYLES
 from pecjax.plotting.style import RATIO_LIMITS, steps_unit
-from pecjax.studies.report import THRESHOLDS, StudyTables
+from pecjax.studies.report import THRESHOLDS
 from pecjax.studies.statistics import Interval, interval
+from pecjax.studies.tables import StudyTables
 
 
 def steps_to_threshold(runs: pd.DataFrame) -> Figure:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+
 from pecjax.agents import PPO, Apex
 from pecjax.agents.apex.q_network import QNetworkSettings
 from pecjax.agents.apex.replay import ReplaySettings

@@ -108,9 +108,9 @@ class StudyDirectory:
             os.replace(self._begun, self.folder / "study.json")
 
     def _compare(self, content: dict[str, Any], texts: dict[str, str]) -> None:
-        self.settings()
+        settings = self.settings()
         held = json.loads((self.folder / "study.json").read_text())
-        held["settings"] = former_versions.study_settings(held.get("settings"))
+        held["settings"] = settings_tree.to_json(settings)  # as they are written today
         differing = [
             difference
             for part in ("settings", "versions")
@@ -198,7 +198,6 @@ class StudyDirectory:
             header = max((head for head, _, _ in texts), key=len, default="")
             rows = "".join(rows for _, _, rows in texts)
             files.replace_file(self.folder / f"{name}.csv", f"{header}\n{rows}")
-
 
     def configurations(self, number: int) -> Iterator[tuple[Path, dict[str, np.ndarray]]]:
         """Of each of so many slices that is there, its folder and what `Collected.configurations` gave."""

@@ -89,7 +89,9 @@ class StudySettings:
             raise InputError(f"grid: {', '.join(paths)} name a setting twice; give all its values at once")
         for path in paths:
             if path != "sampler" and not path.startswith(("sampler.", "agent.", "task.")):
-                raise InputError(f"grid: {path} is not of task, sampler or agent; all runs of a study share it")
+                raise InputError(
+                    f"grid: {path} is not of task, sampler or agent; all runs of a study share it"
+                )
             if not any(path in dict(values) for values in self._combinations()):
                 names = ", ".join(self.values_of("sampler")) or kind_name(self.run.sampler)
                 raise InputError(f"grid: none of {names} has {path}; leave it out")

@@ -45,7 +45,7 @@ def run_study(settings: StudySettings, folder: Path, notice: str | None = None) 
     with (
         directory.open(settings, [*worlds], len(jax.devices())),
         writing(folder, "the same command goes on once it can"),
-        Progress(runs * settings.run.stop.iterations, "the") as progress,
+        Progress(runs * settings.run.stop.iterations) as progress,
         Interruption() as interruption,
     ):
         if notice:

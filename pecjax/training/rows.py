@@ -13,6 +13,7 @@ from pecjax.training.evaluation import EvalResult, success_by_config
 WORST = 0.1  # the share of the flown configurations that CVaR averages
 DRAWN_FLIGHTS = 2  # of each configuration, whose paths are kept
 MOST_DRAWN_FLIGHTS = 100
+PATH_ARRAYS = ("path_episode", "paths")
 
 
 def metrics_row(iteration: int, env_steps: int, metrics: Metrics) -> Row:
@@ -75,15 +76,14 @@ def episode_arrays(flights: EvalResult, with_paths: bool) -> dict[str, Any]:
     """What is kept of an evaluation's episodes, (E,) each.
 
     Args:
-        with_paths: keeps the `paths` (F, L, 2) of some of them too, and which they are, `path_episode`
-            (F,).
+        with_paths: keeps `PATH_ARRAYS` too: which of them have paths (F,), and those (F, L, 2).
     """
     kept = {"config_id": flights.config_id, "success": flights.success, "return": flights.returns}
     kept |= {"length": flights.lengths, **flights.metrics}
     if with_paths and flights.paths is not None:
         chosen = _some_of_each(flights.config_id)
         longest = int(flights.lengths[chosen].max()) + 1
-        kept |= {"path_episode": chosen, "paths": flights.paths[chosen, :longest]}
+        kept |= dict(zip(PATH_ARRAYS, (chosen, flights.paths[chosen, :longest]), strict=True))
     return kept
 
 

@@ -170,8 +170,25 @@ class RunDirectory:
 
     def num_devices(self) -> int | None:
         """How many devices the run was last trained on, where its config.json says so."""
+        found = self._of_last_session("devices", "used")
+        return found if isinstance(found, int) else None
+
+    def check_version(self) -> None:
+        """Makes sure that the run was last trained by this version, as far as its config.json says.
+
+        Raises:
+            InputError: it was another one, whose states to resume from are of another kind.
+        """
+        there, here = self._of_last_session("versions", "pecjax"), importlib.metadata.version("pecjax")
+        if there is not None and there != here:
+            raise InputError(
+                f"{self.folder}: holds a run of another version ({str(there)[:30]!r} there, {here!r} here); "
+                "resume it with that one, or train anew in another folder"
+            )
+
+    def _of_last_session(self, part: str, name: str) -> Any:
         try:
-            return int(_sessions(self._config())[-1]["devices"]["used"])
+            return _sessions(self._config())[-1][part][name]
         except (OSError, ValueError, KeyError, TypeError):
             return None
 

@@ -74,15 +74,15 @@ class Sinks(Sink):
 class Progress(Sink):
     """A live bar over iterations on a terminal, else a line every few seconds, both on stderr."""
 
-    def __init__(self, iterations: int, actions: str) -> None:
+    def __init__(self, iterations: int, episodes: str = "") -> None:
         """Prepares a bar of so many iterations; it shows with the first row.
 
         Args:
-            actions: of the evaluations, for their lines: greedy or sampled.
+            episodes: of an evaluation, in words, where each is to have a line.
         """
         self._console = Console(stderr=True, highlight=False, soft_wrap=True, quiet=not is_primary())
         self._iterations = iterations
-        self._actions = actions
+        self._episodes = episodes
         self._done = 0
         self._since: tuple[float, int] | None = None  # when its pace began to count, and at what
         self._last_line = -SECONDS_BETWEEN_LINES
@@ -128,10 +128,10 @@ class Progress(Sink):
             )
             return
         self._since = time.monotonic(), self._done  # evaluations are no part of the pace
-        if len(rows) == 1:
+        if self._episodes:
             self.say(
                 f"iteration {rows[0]['iteration']}: goal ratio {ratios[0]:.3f} over "
-                f"{self._actions} episodes of a uniform draw"
+                f"{self._episodes} of a uniform draw"
             )
 
     def _advance(self, iterations: int, figures: str, steps: float) -> None:

@@ -6,7 +6,7 @@ import dataclasses
 import signal
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 
@@ -15,33 +15,15 @@ from pecjax.runtime.devices import advice_on_idle_devices, choose_num_devices
 from pecjax.runtime.distributed import ending_together, greatest, synchronized
 from pecjax.runtime.signals import Interruption
 from pecjax.storage.files import alone, check_free, writing
-from pecjax.training.build import Run, abstract_state, build
+from pecjax.training.build import build
 from pecjax.training.checkpoint import Checkpoints, ResumeState
-from pecjax.training.loop import (
-    Clock,
-    Ending,
-    Hooks,
-    Position,
-    is_counted,
-    is_evaluated,
-    run_loop,
-    streak,
-)
-from pecjax.training.program import Iterate, compile_iteration, one_run, start
+from pecjax.training.loop import Clock, Ending, Hooks, Position, run_loop
+from pecjax.training.program import Iterate, one_run
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.run_files import RunFiles
+from pecjax.training.session import Session, begun, resumed
 from pecjax.training.settings import RunSettings, check_settings
 from pecjax.training.sinks import Progress, Sink, Sinks
-
-
-class Session(NamedTuple):
-    """A training in one process, from its start or from where it goes on, to its end or a stop."""
-
-    settings: RunSettings
-    run: Run
-    directory: RunDirectory
-    progress: Progress
-    clock: Clock
 
 
 def train(
@@ -72,7 +54,7 @@ def train(
             build(settings, num_devices)
         with synchronized():
             directory.create(settings, num_devices)
-        return _go(settings, directory, num_devices, sinks, resumed=False)
+        return _go(settings, directory, num_devices, sinks, is_resumed=False)
 
 
 def resume(
@@ -87,13 +69,15 @@ def resume(
         sinks: further listeners.
 
     Raises:
-        InputError: the folder holds no run, one of other settings, or nothing to resume from.
+        InputError: the folder holds no run, one of other settings or of another version, or nothing to
+            resume from.
         StoppedError, DivergedError, LostProcessError: see `train`.
     """
     directory = RunDirectory(folder)
     with ending_together(_how_to_resume(folder)):
         with synchronized(settings):
             check_settings(settings)
+            directory.check_version()
             differing = directory.differences(settings)
             if differing:
                 differing = ", ".join(differing)
@@ -102,7 +86,7 @@ def resume(
             if devices is None and jax.process_count() == 1 and (before or 0) <= len(jax.devices()):
                 devices = before
             num_devices = choose_num_devices(devices, settings.agent.device_divisor)
-        return _go(settings, directory, num_devices, sinks, resumed=True)
+        return _go(settings, directory, num_devices, sinks, is_resumed=True)
 
 
 def _how_to_resume(folder: Path) -> str:
@@ -114,96 +98,38 @@ def _go(
     directory: RunDirectory,
     num_devices: int,
     sinks: Sequence[Sink],
-    resumed: bool,
+    is_resumed: bool,
 ) -> dict[str, Any]:
     folder = directory.folder
     with synchronized():  # each reads what the first has written
         settings = dataclasses.replace(settings, task=settings.task.kept_in(folder))
         run = build(settings, num_devices)
-    actions = f"{settings.evaluation.episodes} {'greedy' if settings.evaluation.greedy else 'sampled'}"
+    about = settings.evaluation
+    episodes = f"{about.episodes} {'greedy' if about.greedy else 'sampled'} episodes"
     with (
         alone(folder),
-        Progress(settings.stop.iterations, actions) as progress,
+        Progress(settings.stop.iterations, episodes) as progress,
         Interruption() as interruption,
     ):
         session = Session(settings, run, directory, progress, Clock())
-        _introduce(session, resumed)
+        _introduce(session, is_resumed)
         with writing(folder, f"put that right and {_how_to_resume(folder)}"):
-            position, iterate = _resumed(session) if resumed else _begun(session)
+            position, iterate = resumed(session) if is_resumed else begun(session)
             progress.say(f"compiled in {session.clock.compile_seconds:.1f} s")
             return _loop(session, position, iterate, sinks, interruption)
 
 
-def _introduce(session: Session, resumed: bool) -> None:
+def _introduce(session: Session, is_resumed: bool) -> None:
     """Says what is trained, on what."""
     settings, run, directory, progress, _ = session
     agent, num_devices, available = settings.agent, run.mesh.devices.size, len(jax.devices())
-    advice = "" if resumed else advice_on_idle_devices(agent.num_envs, agent.device_divisor, num_devices)
+    advice = "" if is_resumed else advice_on_idle_devices(agent.num_envs, agent.device_divisor, num_devices)
     on = f"{num_devices} of {available} devices{advice}" if available > 1 else "1 device"
     progress.say(f"{directory.folder}: {agent.num_envs} environments on {on}")
     for line in settings.task.notices(run.task, run.world):
         progress.say(f"notice: {line}")
     if run.agent.replay_bytes:
         progress.say(f"replay: {run.agent.replay_bytes / 1e6:,.0f} MB")
-
-
-def _begun(session: Session) -> tuple[Position, Iterate]:
-    with session.clock.compiling():
-        state, iterate = start(session.run, session.settings.seed)
-    return Position(state), iterate
-
-
-def _resumed(session: Session) -> tuple[Position, Iterate]:
-    """The newest state to resume from; the tables are rolled back to it."""
-    settings, run, directory, progress, clock = session
-    folder, stop = directory.folder, settings.stop
-    checkpoints = Checkpoints(folder, directory.identity())
-    there, warnings = checkpoints.load_state(ResumeState.make(abstract_state(run), 0, 0, 0.0))
-    for line in warnings:
-        progress.say(line)
-    done = int(there.iteration)
-    if done >= stop.iterations:
-        raise InputError(f"{folder}: already finished at iteration {done}; give a greater --iterations")
-    patience_count = 0
-    if stop.until_goal_ratio is not None:  # it may be another than before: what was counted is stale
-        ratios = directory.column("metrics.csv", "goal_ratio", lambda row: row <= done)
-        patience_count = streak(ratios, stop)
-    if patience_count >= stop.patience:
-        raise InputError(
-            f"{folder}: already finished at iteration {done}: the last {patience_count} iterations reached a "
-            f"goal ratio of {stop.until_goal_ratio:g}; give a higher --until-goal-ratio or more --patience"
-        )
-    _roll_back(session, done)
-    directory.record(settings_as_begun(session), run.mesh.devices.size, from_iteration=done)
-    checkpoints.forget_after(done, settings.evaluation.every)
-    progress.say(f"resumes after iteration {done}")
-    progress.skip(done)
-    clock.spent_before = float(there.seconds)
-    with clock.compiling():
-        return Position(there.state, done, patience_count), compile_iteration(run)
-
-
-def settings_as_begun(session: Session) -> RunSettings:
-    """The session's settings with the names of the task's files as they were given."""
-    return dataclasses.replace(session.settings, task=session.directory.settings().task)
-
-
-def _roll_back(session: Session, done: int) -> None:
-    """Removes what a run of which so many iterations are done would not have."""
-    settings, directory, progress = session.settings, session.directory, session.progress
-    directory.remove("summary.json")
-    evaluated, counted = (
-        lambda row, due=due: row <= done and due(settings, row) for due in (is_evaluated, is_counted)
-    )
-    for name, keep in (("metrics.csv", lambda row: row <= done), ("evaluation.csv", evaluated)):
-        before = (directory.folder / name).exists()
-        directory.roll_back(name, keep)
-        if before and not (directory.folder / name).exists():
-            progress.say(
-                f"{directory.folder / name}: had no whole first line; begins again after iteration {done}"
-            )
-    directory.remove_arrays("episodes", evaluated)
-    directory.remove_arrays("configurations", counted)
 
 
 def _loop(
