@@ -25,6 +25,8 @@ def some_outcomes(shape, seed=0):
         jnp.asarray(rng.integers(0, N - 2, shape), jnp.int32),  # two are never tried
         jnp.asarray(rng.random(shape) < 0.4),
         jnp.asarray(rng.random(shape) < 0.5),
+        jnp.asarray(rng.integers(1, 50, shape), jnp.int32),
+        jnp.asarray(rng.normal(size=shape), jnp.float32),
     )
 
 
@@ -91,7 +93,7 @@ class SamplerContract:
         update = jax.jit(sampler.update)
         everything = update(learnt, outcomes)
         done = np.asarray(outcomes.done)
-        only = Outcomes(*(np.asarray(part)[done] for part in outcomes))
+        only = jax.tree.map(lambda part: np.asarray(part)[done], outcomes)
         assert_alike(everything, update(learnt, only))
         assert_alike(learnt, update(learnt, outcomes._replace(done=jnp.zeros(200, bool))))
 

@@ -23,6 +23,7 @@ import numpy as np
 import pandas as pd
 
 HUNG_SECONDS = 600  # without going on, whatever else the machine does
+KEPT = ("checkpoints", "configurations", "episodes")  # arrays of a training, by iteration
 HEAD = """
 import shutil
 import sys
@@ -42,7 +43,10 @@ smoke = find_study("fig4", "smoke")
 """
 TRAINING = """
 settings = replace(
-    smoke.run, iterations=size, evaluate_every=4, evaluation_episodes=3, configurations_every=3
+    smoke.run,
+    stop=replace(smoke.run.stop, iterations=size),
+    evaluation=replace(smoke.run.evaluation, every=4, episodes=3),
+    configurations_every=3,
 )
 if (folder / "states" / f"{size}.npz").exists():
     pass  # the last that a training writes
@@ -53,7 +57,7 @@ else:
     training.train(settings, folder, devices=1)
 """
 STUDY = """
-run = replace(smoke.run, evaluate_every=1, evaluation_episodes=3)
+run = replace(smoke.run, evaluation=replace(smoke.run.evaluation, every=1, episodes=3))
 study.run_study(replace(smoke, run=run, seeds=tuple(range(size)), at_once=1), folder)
 """
 
@@ -83,11 +87,12 @@ def sums_of(folder: Path, *patterns: str) -> dict[str, str]:
 
 
 def digest_of_training(folder: Path) -> dict[str, str]:
-    found = sums_of(folder, "configurations.csv", "evaluation.csv", "trajectories.csv")
+    found = sums_of(folder, "evaluation.csv", "scene.xml", "coordinates.csv")
     metrics = pd.read_csv(folder / "metrics.csv", dtype=str).drop(columns="seconds")
     found["metrics.csv"] = hashlib.sha256(metrics.to_csv().encode()).hexdigest()
     newest = max((folder / "states").glob("*.npz"), key=lambda path: int(path.stem))
-    for path in (*sorted((folder / "checkpoints").glob("*.npz")), newest):
+    kept = [path for name in KEPT for path in sorted((folder / name).iterdir())]
+    for path in (*kept, newest):
         with np.load(path) as file:
             parts = [file[name].tobytes() for name in file.files if name not in (".seconds", "about")]
         found[str(path.relative_to(folder))] = hashlib.sha256(b"".join(parts)).hexdigest()
@@ -109,7 +114,7 @@ def study(seeds: int) -> Victim:
         STUDY,
         seeds,
         lambda folder: len(list((folder / "slices").glob("[0-9]*"))),
-        lambda folder: sums_of(folder, "*.csv", "study.json", "slices/*/*", "slices/.*"),
+        lambda folder: sums_of(folder, "*.csv", "study.json", "task-*/*", "slices/*/*", "slices/.*"),
     )
 
 

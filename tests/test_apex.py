@@ -7,25 +7,26 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import rlax
-from probe_tasks import FAR, TABLE, TwoStates
+from probe_tasks import TARGET_WORLD, WORLD, CutOff, Room, Target, TwoStates
 from scipy import stats
 
 import pecjax
 from pecjax import InputError
-from pecjax.agents import AXIS, apex, apex_update, fleet_mesh, replay, shard
-from pecjax.agents.apex_update import ApexSettings
-from pecjax.agents.networks import encode
-from pecjax.agents.q_network import QNetwork, QNetworkSettings, action_values
-from pecjax.agents.replay import ReplaySettings
+from pecjax.agents import AXIS, Apex, device_mesh, shard
+from pecjax.agents.apex import agent as apex, update as apex_update
+from pecjax.agents.apex.q_network import QNetwork, QNetworkSettings, action_values
+from pecjax.agents.apex.replay import ReplaySettings
+from pecjax.agents.observations import pack, unpack
+from pecjax.envs.spaces import Box
 from pecjax.training.presets import PRESETS
 
-TOY = ApexSettings(
+TOY = Apex(
     num_envs=16,
     num_steps=32,
     num_actors=4,
     epsilon=0.8,
     epsilon_exponent=0.5,
-    fragment=4,
+    rollout_length=4,
     n_step=1,
     discount=0.9,
     batch_size=64,
@@ -48,21 +49,20 @@ def exact_values(discount):
     return q
 
 
-def toy(settings=TOY, devices=None):
-    sampler = pecjax.curriculum.pec(TABLE.size)
-    if devices is None:
-        return apex.make(TwoStates(), TABLE, sampler, settings)
-    return shard(apex.make(TwoStates(), TABLE, sampler, settings, AXIS), fleet_mesh(devices))
+def toy(settings=TOY, devices=None, task=None):
+    """An agent of two states; its world is bound, so that it takes key and state alone."""
+    sampler, task = pecjax.curriculum.pec(3), task or TwoStates()
+    agent = settings.make(task, sampler, None if devices is None else AXIS)
+    if devices is not None:
+        agent = shard(agent, device_mesh(devices))
+    init, iterate = agent.init, agent.iterate
+    return agent._replace(init=lambda key: init(key, WORLD), iterate=lambda state: iterate(state, WORLD))
 
 
 def values_of(learner, settings=TOY):
-    env = TwoStates()
-    rooms = [
-        env.observe(env.place(None, jnp.float32(side))).obs
-        for side in (-1, 1)
-    ]  # fmt: skip
-    obs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rooms)
-    seen = encode(replay.expand(replay.compress(obs, FAR), (1, 1), FAR), FAR)
+    task = TwoStates()
+    obs = jax.vmap(lambda room: task.observe(None, Room(room, None), None))(jnp.arange(2))
+    seen = unpack(task.observation_space, pack(task.observation_space, obs))
     return action_values(QNetwork(settings.network, 2), learner.params, seen)
 
 
@@ -123,7 +123,7 @@ def test_many_devices_draw_and_learn_as_one(devices):
         assert_same(of_one._replace(key=None), of_many._replace(key=None), atol=1e-4)
         assert_same(metrics, of_all, atol=1e-4)
     assert int(of_one.learner.updates) >= 64
-    assert len(of_many.fleet.shards.tree.sharding.device_set) == devices
+    assert len(of_many.envs.shards.tree.sharding.device_set) == devices
 
 
 def test_double_values_are_those_of_rlax():
@@ -138,9 +138,9 @@ def test_double_values_are_those_of_rlax():
 
 def test_epsilon_of_five_actors_is_that_of_the_paper():
     by_hand = [0.4, 0.08047, 0.016190, 0.0032572, 0.00065536]  # 0.4 ** (1, 2.75, 4.5, 6.25, 8)
-    epsilon = apex.exploration(ApexSettings(num_actors=5), jnp.arange(11))
+    epsilon = apex.exploration(Apex(num_actors=5), jnp.arange(11))
     np.testing.assert_allclose(epsilon, [*by_hand, *by_hand, by_hand[0]], rtol=1e-3)
-    np.testing.assert_allclose(apex.exploration(ApexSettings(num_actors=1), jnp.arange(2)), 0.4)
+    np.testing.assert_allclose(apex.exploration(Apex(num_actors=1), jnp.arange(2)), 0.4)
 
 
 def test_exploring_takes_any_action_alike_and_else_the_best():
@@ -160,8 +160,8 @@ def test_the_target_is_copied_after_more_than_its_period():
     state = jax.jit(agent.init)(jax.random.key(1))
     network, optimizer = QNetwork(settings.network, 2), apex_update.make_optimizer(settings)
 
-    def features(frame):
-        return encode(replay.expand(frame, (1, 1), FAR), FAR)
+    def features(packed):
+        return unpack(TwoStates.observation_space, packed)
 
     learn = jax.jit(
         lambda learner, shards, key: apex_update.update(
@@ -172,7 +172,7 @@ def test_the_target_is_copied_after_more_than_its_period():
     learner = state.learner._replace(copied=jnp.zeros((), jnp.int32))
     before, table = learner.target, []
     for i in range(11):
-        learner, _, _ = learn(learner, state.fleet.shards, jax.random.key(i))
+        learner, _, _ = learn(learner, state.envs.shards, jax.random.key(i))
         copied = jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), learner.target, learner.params))
         kept = jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), learner.target, before))
         assert copied != kept
@@ -210,7 +210,7 @@ def test_it_learns_on_when_its_counts_of_steps_are_full():
 
 
 def test_it_waits_for_a_transition_to_draw_however_early_it_may_start():
-    settings = replace(TOY, n_step=10, learning_starts=0)  # in fragments of 4 steps of 16 environments
+    settings = replace(TOY, n_step=10, learning_starts=0)  # in rollouts of 4 steps of 16 environments
     state, metrics = jax.jit(toy(settings).iterate)(jax.jit(toy(settings).init)(jax.random.key(0)))
     assert int(state.learner.updates) == (32 // 4 - 2) * settings.updates
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state.learner.params))
@@ -229,10 +229,11 @@ def test_each_array_of_the_gradient_is_bounded_by_itself():
 
 def test_the_goal_ratio_is_of_the_actors_that_explore_least():
     settings = replace(TOY, num_actors=8, epsilon=1.0, epsilon_exponent=0.0)
-    _, metrics = jax.jit(toy(settings).iterate)(jax.jit(toy(settings).init)(jax.random.key(0)))
-    trials = int(metrics.counts[0].sum())
+    state, metrics = jax.jit(toy(settings).iterate)(jax.jit(toy(settings).init)(jax.random.key(0)))
+    trials = int(metrics.episodes)
     # Of 8 the last 3, as many of RLlib's 5 as it takes for a third; here all explore alike.
     assert abs(int(metrics.reported[0]) / trials - 3 / 8) < 0.1
+    assert trials == int(state.counts[0].sum()) > 100
 
 
 def test_the_duel_is_centred():
@@ -254,7 +255,7 @@ def test_the_duel_is_centred():
         ({"num_envs": 0}, "1 or more"),
         ({"num_envs": 18}, "shards do not divide"),
         ({"batch_size": 66}, "shards do not divide"),
-        ({"fragment": 5}, "do not divide"),
+        ({"rollout_length": 5}, "do not divide"),
         ({"replay": ReplaySettings(capacity=2040)}, "do not divide"),
         ({"replay": ReplaySettings(capacity=64)}, "needs more than 5"),
         ({"replay_ratio": 0.1}, "whole number of batches"),
@@ -263,29 +264,82 @@ def test_the_duel_is_centred():
 )
 def test_settings_that_do_not_fit_one_another_are_refused(change, words):
     with pytest.raises(InputError, match=words):
-        apex.make(TwoStates(), TABLE, pecjax.curriculum.pec(3), replace(TOY, **change))
+        replace(TOY, **change).make(TwoStates(), pecjax.curriculum.pec(3))
+
+
+class Seen(TwoStates):
+    """The same, of which one sees an image too."""
+
+    observation_space = {"look": Box((1, 1), 0.0, 1.0), "room": Box((2,))}  # noqa: RUF012
+
+    def observe(self, key, state, params):
+        rooms = super().observe(key, state, params)
+        return {"look": rooms[:1, None], "room": rooms}
 
 
 def test_the_replay_says_what_it_takes():
-    agent = toy()
-    shards = jax.jit(agent.init)(jax.random.key(0)).fleet.shards
-    assert agent.replay_bytes == sum(leaf.nbytes for leaf in jax.tree.leaves(shards))
-    # An image of one byte, a goal of 8, action, return and discount of 4, two nodes of a tree of 4.
-    assert agent.replay_bytes == 2048 * (1 + 8 + 3 * 4 + 2 * 4) + 4 * TOY.replay.num_shards
+    for task, image_bytes in ((TwoStates(), 0), (Seen(), 1)):
+        agent = toy(task=task)
+        shards = jax.jit(agent.init)(jax.random.key(0)).envs.shards
+        assert agent.replay_bytes == sum(leaf.nbytes for leaf in jax.tree.leaves(shards))
+        # Two numbers of 4 bytes, action, return and discount of 4, two nodes of a tree of 4.
+        each = image_bytes + 8 + 3 * 4 + 2 * 4
+        assert agent.replay_bytes == 2048 * each + 4 * TOY.replay.num_shards
+
+
+def test_what_is_learnt_from_an_image_is_what_the_policy_sees():
+    """Both in 255 steps: here exactly, so that it learns the values of two states from them."""
+    agent = toy(task=Seen())
+    iterate, state = jax.jit(agent.iterate), jax.jit(agent.init)(jax.random.key(0))
+    for _ in range(60):
+        state, _ = iterate(state)
+    act = agent.policy(state.learner, greedy=True)
+    for room, best in enumerate(exact_values(TOY.discount).argmax(axis=1)):
+        obs = Seen().observe(None, Room(jnp.int32(room), None), None)
+        assert act(obs, jax.random.key(0)) == best
+
+
+class Uncut(CutOff):
+    """The same, whose cuts are taken for endings."""
+
+    truncates = False
+
+
+def learnt_values(task, settings, iterations):
+    agent = toy(settings, task=task)
+    iterate, state = jax.jit(agent.iterate), jax.jit(agent.init)(jax.random.key(0))
+    for _ in range(iterations):
+        state, _ = iterate(state)
+    return np.asarray(action_values(QNetwork(settings.network, 2), state.learner.params, jnp.ones(1)))
+
+
+@pytest.mark.parametrize("n_step", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_values_reach_across_a_cut_and_no_further_than_an_ending(n_step):
+    """Whoever sees five steps of 1 each has to know that they go on."""
+    settings = replace(TOY, n_step=n_step, target_period=500, learning_rate=5e-3, discount=0.8)
+    np.testing.assert_allclose(learnt_values(CutOff(), settings, 80), 5, atol=0.2)
+    assert (learnt_values(Uncut(), settings, 80) < 3.4).all()  # what five steps are worth
+
+
+def test_actions_that_are_no_choices_are_refused():
+    with pytest.raises(InputError, match="apex needs discrete actions, .*; choose the agent ppo") as refused:
+        TOY.make(Target(), pecjax.curriculum.pec(TARGET_WORLD.table.number.size))
+    assert "\n" not in str(refused.value)
 
 
 def test_the_preset_apex_rllib085_holds_every_value_of_rllib_and_of_the_paper():
     preset = PRESETS["apex-rllib085"]
-    found = preset.apex
+    found = preset.agent
+    assert isinstance(found, Apex)
     assert found.num_actors == 5 and (found.epsilon, found.epsilon_exponent) == (0.4, 7)
     assert found.n_step == 3 and found.discount == 0.99
     assert found.replay == ReplaySettings(2_000_000, 4, 0.6, 0.4, 1e-6, False, "shard")
     assert found.learning_starts == 50_000 and found.target_period == 20_000
-    assert found.batch_size == 5000 and found.fragment == 50
+    assert found.batch_size == 5000 and found.rollout_length == 50
     assert found.learning_rate == 5e-4 and found.decay_updates is None
     assert found.adam_eps == 1e-8 and found.max_grad_norm == 40
-    assert found.huber == 1.0 and found.reward_scale == 1.0
+    assert found.huber_delta == 1.0 and found.reward_scale == 1.0
     assert found.network == QNetworkSettings(trunk=(256, 256), head=256)
     assert found.num_envs * found.num_steps == 25_000  # timesteps_per_iteration
-    assert preset.iterations == 2000
+    assert preset.stop.iterations == 2000
     found.check()

@@ -1,6 +1,7 @@
 """The one-way flow between the layers, and what importing the package does and offers."""
 
 import json
+import statistics
 import subprocess
 import sys
 from pathlib import Path
@@ -23,6 +24,8 @@ report = {
     "backend": xla_bridge.backends_are_initialized(),
     "training": sorted(name for name in sys.modules if name.startswith("pecjax.training")),
 }
+pecjax.curriculum.pec(num_configs=3)
+report["simulators"] = sorted({"mujoco", "brax", "flax", "cattrs"} & set(sys.modules))
 print(json.dumps(report))
 """
 
@@ -36,16 +39,28 @@ def test_layers_import_only_from_above():
         timeout=120,
     )
     assert lint.returncode == 0, lint.stdout + lint.stderr
-    assert "2 kept, 0 broken" in lint.stdout
+    assert "4 kept, 0 broken" in lint.stdout
 
 
-def test_ppo_and_the_samplers_know_nothing_of_each_others_files():
+def test_agents_and_samplers_know_nothing_of_each_others_files():
     """Whatever is plugged in is plugged in by its contract."""
-    agents = (ROOT / "pecjax" / "agents").glob("*.py")
-    text = {path.name: path.read_text() for path in agents}
-    assert {"ppo.py", "rollout.py", "agent.py"} <= set(text)
+    agents = ROOT / "pecjax" / "agents"
+    text = {str(path.relative_to(agents)): path.read_text() for path in agents.rglob("*.py")}
+    assert {"base.py", "rollout.py", "ppo/agent.py", "ppo/update.py", "apex/agent.py"} <= set(text)
     for name, source in text.items():
         assert "curriculum.pec" not in source and "curriculum.uniform" not in source, name
+        # Nor do the kinds of agents know one another.
+        kind, _, file = name.partition("/")
+        other = {"ppo": "agents.apex", "apex": "agents.ppo"}.get(kind) if file else None
+        assert other is None or other not in source, name
+
+
+def test_files_are_short():
+    lines = {path: path.read_text().count("\n") for path in (ROOT / "pecjax").rglob("*.py")}
+    assert len(lines) > 100
+    longest = max(lines, key=lambda path: lines[path])
+    assert lines[longest] <= 250, longest
+    assert statistics.median(lines.values()) <= 130
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +82,8 @@ def test_importing_leaves_the_environment_and_the_devices_alone(imported):
     assert not report["backend"]
     # The command line's libraries (figures, tables, checkpoints) are for those who run it.
     assert report["training"] == []
+    # Nor does a loop of one's own need a simulator for the samplers.
+    assert report["simulators"] == []
 
 
 @pytest.mark.parametrize(
@@ -77,12 +94,24 @@ def test_importing_leaves_the_environment_and_the_devices_alone(imported):
         "RoomsNavigation",
         "COORDINATE_SET_1",
         "COORDINATE_SET_2",
+        "Configurations",
+        "Rooms",
+        "Task",
+        "TaskSettings",
+        "RunSettings",
+        "train",
+        "open_run",
+        "find_preset",
+        "set_path",
+        "Sink",
         "curriculum.pec",
         "curriculum.uniform",
         "curriculum.Outcomes",
         "curriculum.Sampler",
-        "agents.ppo",
-        "agents.ppo.make",
+        "agents.PPO",
+        "agents.PPO.make",
+        "agents.Apex.make",
+        "agents.AgentSettings",
     ],
 )
 def test_public_names(name):
@@ -90,6 +119,13 @@ def test_public_names(name):
     for part in name.split("."):
         found = getattr(found, part)
     assert found is not None
+
+
+def test_every_name_that_is_listed_can_be_had():
+    for name in dir(pecjax):
+        assert getattr(pecjax, name) is not None or name.startswith("__"), name
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        pecjax.nothing()
 
 
 def test_what_the_public_objects_hold(scene):
@@ -100,11 +136,11 @@ def test_what_the_public_objects_hold(scene):
         assert table.start.shape == table.goal.shape == (size, 2)
     sampler = pecjax.curriculum.pec(num_configs=20, alpha=0.2)
     assert sampler._fields == ("init", "probabilities", "sample", "update")
-    assert pecjax.curriculum.Outcomes._fields == ("config_id", "done", "failed")
-    agent = pecjax.agents.ppo.make(
-        pecjax.RoomsNavigation(scene), pecjax.COORDINATE_SET_1, sampler, pecjax.agents.ppo.PPOSettings()
-    )
-    assert {"init", "iterate", "policy"} <= set(agent._fields)
+    told = ("config_id", "done", "failed", "length", "episode_return", "signal")
+    assert pecjax.curriculum.Outcomes._fields == told
+    for kind in (pecjax.agents.PPO, pecjax.agents.Apex):
+        agent = kind().make(pecjax.RoomsNavigation(scene).task, sampler)
+        assert {"init", "iterate", "policy"} <= set(agent._fields)
     assert pecjax.InputError.__mro__[1] is ValueError
 
 

@@ -16,10 +16,12 @@ from test_scene import BAD_MAPS
 
 import pecjax
 from pecjax.cli import main
-from pecjax.envs.rooms import load_coordinates, load_scene
+from pecjax.envs.rooms import load_coordinates
 from pecjax.envs.rooms.scene import default_scene_path
 from pecjax.runtime import devices
 from pecjax.training import train as training
+from pecjax.training.run_directory import RunDirectory
+from pecjax.training.run_tables import configuration_table
 
 ROOT = Path(__file__).parents[1]
 TRAIN = ["train", "--iterations", "2", "--num-envs", "8", "--out", "run"]
@@ -74,14 +76,15 @@ def test_train_leaves_a_run_and_its_figures(run):
     there = {path.suffix for path in (run / "figures").iterdir()}
     assert there == {".png", ".svg"}
     settings = json.loads((run / "config.json").read_text())["settings"]
-    assert settings["iterations"] == 2 and settings["ppo"]["num_envs"] == 8 and settings["seed"] == 5
+    assert settings["stop"]["iterations"] == 2 and settings["agent"]["num_envs"] == 8
+    assert settings["seed"] == 5
     assert settings["sampler"] == {"kind": "pecjax.curriculum.uniform:Uniform"}
-    assert settings["greedy"] is False
-    assert settings["coordinates"].endswith("places.txt")
+    assert settings["evaluation"]["greedy"] is False
+    assert settings["task"]["table"].endswith("places.txt")
 
 
 def test_the_uniform_sampler_and_a_coordinates_file(run):
-    rows = pd.read_csv(run / "configurations.csv")
+    rows = configuration_table(RunDirectory(run))
     assert rows.config.tolist() == [0, 1, 2] * 2
     np.testing.assert_allclose(rows.probability, 1 / 3, rtol=1e-6)
     metrics = pd.read_csv(run / "metrics.csv")
@@ -127,7 +130,7 @@ def test_the_sampler_that_the_docs_show_trains_resumes_and_evaluates(tmp_path, m
     assert main([*TRAIN[:-3], "8", "--out", "run", "--sampler", "mine:Learnability"]) == 0
     config = json.loads(Path("run/config.json").read_text())
     assert config["settings"]["sampler"] == {"kind": "mine:Learnability", "floor": 0.05}
-    rows = pd.read_csv("run/configurations.csv")
+    rows = configuration_table(RunDirectory(Path("run")))
     rows = rows[rows.iteration == 2]
     p = rows.failures / rows.trials.clip(lower=1)
     weight = np.where(rows.trials > 0, p * (1 - p) + 0.05, 1)
@@ -264,7 +267,8 @@ def test_check_and_train_accept_the_same_maps(other_map, edited_rooms, tmp_path,
     flown = []
 
     def go(settings, directory, *_, **__):
-        flown.append(load_scene(directory.scene_path, settings.resolution))
+        (scene,) = settings.task.kept_in(directory.folder).scenes()
+        flown.append(scene)
         return {"uniform_evaluation": {"goal_ratio": 1.0, "episodes": 1, "greedy": True}} | dict.fromkeys(
             ("env_steps", "seconds", "compile_seconds"), 0
         )
@@ -278,9 +282,12 @@ def test_check_and_train_accept_the_same_maps(other_map, edited_rooms, tmp_path,
         assert main(["check", *world]) == 0
         assert main([*TRAIN[:-1], str(tmp_path / f"run{number}"), *world]) == 0
         checked, trained = flown[-2:]
-        for name in ("wall_lower", "wall_upper", "bounds", "mass", "inertia", "drone_radius"):
-            np.testing.assert_array_equal(getattr(checked, name), getattr(trained, name))
-        np.testing.assert_array_equal(checked.camera.rotation, trained.camera.rotation)
+        for name in ("lower", "upper", "bounds"):
+            np.testing.assert_array_equal(getattr(checked.map, name), getattr(trained.map, name))
+        for name in ("mass", "inertia", "radius"):
+            np.testing.assert_array_equal(getattr(checked.vehicle, name), getattr(trained.vehicle, name))
+        cameras = checked.vehicle.camera, trained.vehicle.camera
+        np.testing.assert_array_equal(*(camera.rotation for camera in cameras))
     assert capsys.readouterr().err == ""
 
 
@@ -310,10 +317,10 @@ def test_a_goal_that_no_path_reaches(command, edited_rooms, refused):
         (["--sampler", "bandit"], ["unknown sampler 'bandit'", "pec", "uniform"]),
         (["--preset", "slow"], ["unknown preset 'slow'", "fast", "rllib085"]),
         (["--coordinates", "3"], ["'3'"]),
-        (["--algorithm", "sac"], ["unknown algorithm 'sac'", "ppo", "apex"]),
-        (["--algorithm", "apex", "--preset", "rllib085"], ["preset 'rllib085' trains with ppo"]),
-        (["--algorithm", "apex", "--num-envs", "6"], ["4 shards do not divide 6 environments"]),
-        (["--algorithm", "apex", "--devices", "3"], ["4 environments or replay shards", "3 devices"]),
+        (["--agent", "sac"], ["unknown agent 'sac'", "ppo", "apex"]),
+        (["--agent", "apex", "--preset", "rllib085"], ["preset 'rllib085' trains with ppo"]),
+        (["--agent", "apex", "--num-envs", "6"], ["4 shards do not divide 6 environments"]),
+        (["--agent", "apex", "--devices", "3"], ["4 environments or replay shards", "3 devices"]),
         (["--until-goal-ratio", "1.5"], ["until-goal-ratio is 1.5"]),
         (["--until-goal-ratio", "nan"], ["until-goal-ratio is nan"]),
         (["--patience", "0"], ["patience is 0"]),
@@ -466,7 +473,7 @@ def test_evaluations_that_cannot_be_flown(run, tmp_path, refused):
         ("eval", "scene.xml"),
         ("eval", "coordinates.csv"),
         ("figures", "metrics.csv"),
-        ("figures", "trajectories.csv"),
+        ("figures", "episodes"),
         ("figures", "scene.xml"),
     ],
 )

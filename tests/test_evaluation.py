@@ -7,17 +7,27 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
+from probe_tasks import TARGET_WORLD, WORLD, Target, TwoStates
 
 import pecjax
-from pecjax.agents import fleet_mesh, ppo
+from pecjax.agents import PPO, device_mesh
 from pecjax.agents.networks import NetworkSettings
-from pecjax.envs.rooms.navigation import NavigationSettings
-from pecjax.training.evaluation import EvalResult, goal_ratios, make_evaluator, stratified_config_ids
+from pecjax.envs.axes import fill
+from pecjax.envs.task import World, take_configs
+from pecjax.training.evaluation import (
+    EvalResult,
+    make_evaluator,
+    run_episodes,
+    stratified_config_ids,
+    success_by_config,
+)
 
 # Steering straight at the goal reaches the first, hits a wall on the way to the second, and runs
 # out of steps on the way to the third.
-TABLE = pecjax.Configurations(
-    np.array([[0, -2], [0, 5], [-5, -2]], np.float32), np.array([[2, -2], [0, -2], [7, -2]], np.float32)
+TABLE = fill(
+    pecjax.Configurations(
+        np.array([[0, -2], [0, 5], [-5, -2]], np.float32), np.array([[2, -2], [0, -2], [7, -2]], np.float32)
+    )
 )
 LIMIT, EPISODES, SEED = 50, 7, 11
 
@@ -31,7 +41,8 @@ def policy(logits, greedy=False):
     """Steers at the goal; drawn actions differ from that as the learner's logits have it."""
 
     def act(obs, key):
-        bearing = obs["goal"][1]
+        _, sine, cosine = obs["goal"]
+        bearing = jnp.arctan2(sine, cosine)
         turning = jnp.where(bearing > 0, 4, 0)  # on the spot
         steering = jnp.where(jnp.abs(bearing) > 0.4, turning, jnp.where(bearing > 0, 13, 11))
         preferred = logits.at[steering].add(5.0)
@@ -41,26 +52,29 @@ def policy(logits, greedy=False):
 
 
 @pytest.fixture(scope="module")
-def task(scene):
-    return pecjax.RoomsNavigation(scene, TABLE, NavigationSettings(max_steps=LIMIT))
+def rooms(scene):
+    """A task, and its world."""
+    env = pecjax.RoomsNavigation(scene, TABLE, pecjax.NavigationSettings(max_steps=LIMIT))
+    return env.task, World(env.params, env.configurations)
 
 
 @pytest.fixture(scope="module")
-def evaluators(task):
+def evaluators(rooms):
     """(devices, greedy) -> fly; seven episodes, which two devices cannot share evenly."""
+    task, world = rooms
     made = {}
 
     def get(devices: int, greedy: bool):
         if (devices, greedy) not in made:
-            made[devices, greedy] = make_evaluator(
+            fly = make_evaluator(
                 task,
-                TABLE,
                 SimpleNamespace(policy=policy),
-                fleet_mesh(devices),
+                device_mesh(devices),
                 episodes=EPISODES,
                 greedy=greedy,
                 seed=SEED,
-            )(jnp.zeros(15))
+            )(jnp.zeros(15), world)
+            made[devices, greedy] = lambda learner: fly(learner, world)
         return made[devices, greedy]
 
     return get
@@ -71,37 +85,46 @@ def flights(evaluators):
     return evaluators(2, True)(jnp.zeros(15))
 
 
-def in_a_plain_loop(task, config_id: np.ndarray) -> EvalResult:
+def in_a_plain_loop(task, world, config_id: np.ndarray) -> EvalResult:
     """The same episodes one after the other, with nothing but `place`, `observe` and `step`."""
-    step, act = jax.jit(task.step), jax.jit(policy(jnp.zeros(15), greedy=True))
-    goal, returns, lengths, paths = [], [], [], []
+    act = jax.jit(policy(jnp.zeros(15), greedy=True))
+    step, observe = jax.jit(task.step), jax.jit(task.observe)
+    success, returns, lengths, paths, endings = [], [], [], [], []
     for episode, row in enumerate(config_id):
         key = jax.random.fold_in(jax.random.key(SEED), episode)
         heading = jax.random.uniform(key, minval=-jnp.pi, maxval=jnp.pi)
-        config = pecjax.Configurations(jnp.asarray(TABLE.start[row]), jnp.asarray(TABLE.goal[row]))
-        state = task.observe(task.place(config, heading))
-        total, path = 0.0, [TABLE.start[row]]
-        while not state.done:
-            state = step(state, act(state.obs, key))
-            total += float(state.reward)
-            path.append(np.asarray(state.pipeline_state.qpos[:2]))
-        goal.append(bool(state.metrics["goal"]))
+        state = task.place(take_configs(TABLE, row), heading)
+        total, path, over = 0.0, [TABLE.start[row]], False
+        while not over:
+            action = act(observe(key, state, world.params), key)
+            after = step(key, state, action, world.params)
+            state, over = after.state, bool(after.terminated)
+            total += float(after.reward)
+            path.append(np.asarray(state.qpos[:2]))
+        success.append(bool(after.success))
+        endings.append({name: float(value) for name, value in after.metrics.items()})
         returns.append(total)
         lengths.append(len(path) - 1)
         paths.append(path + [path[-1]] * (LIMIT + 1 - len(path)))
-    return EvalResult(config_id, np.array(goal), np.array(returns), np.array(lengths), np.array(paths))
+    metrics = {name: np.array([of[name] for of in endings]) for name in endings[0]}
+    of_all = map(np.array, (success, returns, lengths))
+    return EvalResult(config_id, *of_all, metrics, np.array(paths))
 
 
-def test_equals_a_plain_loop(task, flights):
-    looped = in_a_plain_loop(task, stratified_config_ids(TABLE.size, EPISODES, SEED))
-    for name in ("config_id", "goal", "lengths"):
+def test_equals_a_plain_loop(rooms, flights):
+    looped = in_a_plain_loop(*rooms, stratified_config_ids(TABLE.size, EPISODES, SEED))
+    for name in ("config_id", "success", "lengths"):
         np.testing.assert_array_equal(getattr(flights, name), getattr(looped, name), err_msg=name)
+    assert set(flights.metrics) == {"collision", "timeout", "unstable"}
+    jax.tree.map(np.testing.assert_array_equal, flights.metrics, looped.metrics)
     np.testing.assert_allclose(flights.returns, looped.returns, rtol=1e-6)
     # Metres, after up to 5 s of flight in float32.
     np.testing.assert_allclose(flights.paths, looped.paths, atol=1e-3)
     # All three endings were there to be compared.
-    by_config = [set(flights.goal[flights.config_id == row].tolist()) for row in range(3)]
+    by_config = [set(flights.success[flights.config_id == row].tolist()) for row in range(3)]
     assert by_config == [{True}, {False}, {False}]
+    np.testing.assert_array_equal(flights.metrics["collision"], flights.config_id == 1)
+    np.testing.assert_array_equal(flights.metrics["timeout"], flights.config_id == 2)
     assert set(flights.lengths[flights.config_id == 2]) == {LIMIT}
     assert max(flights.lengths[flights.config_id == 1]) < LIMIT
 
@@ -117,7 +140,7 @@ def test_paths_begin_at_the_start_and_rest_after_the_end(flights):
 def test_two_devices_fly_the_episodes_of_one(evaluators):
     """With drawn actions; greedy ones, on two devices, equal the plain loop above."""
     one, two = (evaluators(devices, greedy=False)(jnp.zeros(15)) for devices in (1, 2))
-    for name in ("config_id", "goal", "lengths"):
+    for name in ("config_id", "success", "lengths"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name), err_msg=name)
     np.testing.assert_allclose(one.returns, two.returns, rtol=1e-6)
     np.testing.assert_allclose(one.paths, two.paths, atol=1e-3)
@@ -161,25 +184,73 @@ def test_what_remains_of_an_even_draw_goes_to_others_with_another_seed():
 def test_goal_ratios_equal_pandas():
     draw = np.random.default_rng(0)
     config_id, goal = draw.choice([0, 1, 2, 4, 7], 60), draw.random(60) < 0.6
-    flights = EvalResult(config_id, goal, None, None, None)
     expected = pd.Series(goal).groupby(config_id).mean().reindex(range(9))
-    np.testing.assert_allclose(goal_ratios(flights, 9), expected)
+    np.testing.assert_allclose(success_by_config(config_id, goal, 9), expected)
     assert np.isnan(expected[[3, 5, 6, 8]]).all()
+    flights = EvalResult(config_id, goal, None, None, {}, None)
+    np.testing.assert_allclose(flights.goal_ratios(), expected[:8])
 
 
 def test_ppos_policy_takes_the_likeliest_action_or_draws_by_the_logits(env):
-    settings = ppo.PPOSettings(num_envs=1, network=NetworkSettings(hidden=(8,)))
-    agent = ppo.make(env, env.configurations, pecjax.curriculum.uniform(20), settings)
-    learner = jax.jit(agent.init)(jax.random.key(0)).learner
+    settings = PPO(num_envs=1, network=NetworkSettings(hidden=(8,)))
+    agent = settings.make(env.task, pecjax.curriculum.uniform(20))
+    world = World(env.params, env.configurations)
+    learner = jax.jit(agent.init)(jax.random.key(0), world).learner
     bias = jnp.linspace(-2, 1, 15)
     # The only parameters of this shape are the biases of the logits.
     only_bias = jax.tree.map(lambda p: bias if p.shape == (15,) else jnp.zeros_like(p), learner.params)
     assert sum(p.shape == (15,) for p in jax.tree.leaves(learner.params)) == 1
     learner = learner._replace(params=only_bias)
-    obs = {"depth": jnp.ones((12, 16)), "goal": jnp.ones(2)}
+    obs = {"depth": jnp.ones((12, 16)), "goal": jnp.ones(3)}
     keys = jax.random.split(jax.random.key(1), 20_000)
     drawn = jax.jit(jax.vmap(agent.policy(learner), in_axes=(None, 0)))(obs, keys)
     ratios = np.bincount(drawn, minlength=15) / len(keys)
     expected = np.asarray(jax.nn.softmax(bias))
     assert np.all(np.abs(ratios - expected) < 5 * np.sqrt(expected / len(keys)))
     assert agent.policy(learner, greedy=True)(obs, keys[0]) == 14
+
+
+def test_a_task_without_places_has_no_paths_and_its_own_metrics():
+    """Episodes of one step, whose figures follow from the action by hand."""
+    config_id = np.array([2, 0, 1, 0])
+
+    def act(obs, key):
+        return jnp.stack([0.8 * obs[0], 1.0 + 0.6 * obs[0]])  # off by 0.6, 0 and 0.6
+
+    flights = run_episodes(
+        Target(), TARGET_WORLD, act, jax.random.split(jax.random.key(0), 4), jnp.asarray(config_id)
+    )
+    assert flights.paths is None
+    off = 0.6 * np.abs(config_id - 1)
+    np.testing.assert_allclose(flights.metrics["distance"], off, atol=1e-6)
+    np.testing.assert_allclose(flights.returns, -(off**2), atol=1e-6)
+    np.testing.assert_array_equal(flights.success, config_id == 1)
+    np.testing.assert_array_equal(flights.lengths, [1, 1, 1, 1])
+
+
+def test_the_world_is_an_argument_of_the_program():
+    def policy(learner, greedy):
+        return lambda obs, key: jnp.stack([0.8 * obs[0], 1.0])
+
+    evaluate = make_evaluator(
+        Target(), SimpleNamespace(policy=policy), device_mesh(1), episodes=6, greedy=True, seed=0
+    )(jnp.zeros(()), TARGET_WORLD)  # compiled, and for no other shapes
+    there = evaluate(jnp.zeros(()), TARGET_WORLD)
+    elsewhere = evaluate(jnp.zeros(()), TARGET_WORLD._replace(params=jnp.float32(0.3)))
+    np.testing.assert_allclose(there.returns, 0, atol=1e-6)
+    np.testing.assert_allclose(elsewhere.returns, -((0.5 * (there.config_id - 1.0)) ** 2), atol=1e-6)
+    assert sorted(there.config_id) == [0, 0, 1, 1, 2, 2]
+
+
+def test_an_episode_is_the_same_beside_whichever_others_it_is_flown():
+    keys, config_id = jax.random.split(jax.random.key(4), 40), jnp.arange(40) % 3
+
+    def act(obs, key):
+        return jax.random.bernoulli(key, 0.2).astype(jnp.int32)
+
+    def fly(some):
+        return run_episodes(TwoStates(), WORLD, act, keys[some], config_id[some])
+
+    together, few = fly(slice(0, 40)), fly(slice(29, 33))
+    jax.tree.map(lambda of_all, of_few: np.testing.assert_array_equal(of_all[29:33], of_few), together, few)
+    assert len(set(together.lengths.tolist())) > 5 and together.success.all()

@@ -6,6 +6,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+from conftest import OTHER_MAP
 from jax import numpy as jnp
 from scipy import signal
 
@@ -216,7 +217,8 @@ def test_yaw_gives_way_first(scene):
     assert np.all(np.sign(made[:, 3]) == torque[:, 2])
     assert np.all(np.abs(made[:, 3]) < 0.3)
     # It gives way no more than it must: some rotor stands at a limit.
-    room = np.minimum(controls - scene.vehicle.rotors.lower, scene.vehicle.rotors.upper - controls).min(axis=1)
+    rotors = scene.vehicle.rotors
+    room = np.minimum(controls - rotors.lower, rotors.upper - controls).min(axis=1)
     np.testing.assert_allclose(room, 0, atol=1e-5)
 
 
@@ -225,6 +227,33 @@ def test_mixing_keeps_the_limits_whatever_is_asked(scene):
     thrust, torque = np.float32(rng.normal(15, 30, 1000)), np.float32(rng.normal(0, 10, (1000, 3)))
     controls = np.asarray(jax.vmap(lambda f, t: allocate_rotors(scene.vehicle, f, t))(thrust, torque))
     assert np.all((controls >= -1e-5) & (controls <= 8 + 1e-5))
+
+
+AIR_AND_SPRING = (
+    ('timestep="0.01"/>', 'timestep="0.01" density="40" viscosity="0.3" wind="4 5 6" gravity="1 -2 -9"/>'),
+    ("<freejoint/>", '<joint type="free" damping="0.2" stiffness="3" armature="0.01"/>'),
+    ('<body name="drone" pos="-2 0 1"', '<body name="drone" gravcomp="0.5" pos="-1 0 1" euler="10 20 30"'),
+)
+
+
+@pytest.mark.parametrize("has_gravity", [True, False])
+def test_all_that_acts_on_the_drone_in_its_map_acts_on_it_alone(has_gravity, tmp_path):
+    text = OTHER_MAP
+    for old, new in AIR_AND_SPRING:
+        assert old in text
+        text = text.replace(old, new)
+    if not has_gravity:
+        text = text.replace('-9"/>', '-9"><flag gravity="disable"/></option>')
+    (tmp_path / "map.xml").write_text(text)
+    scene = pecjax.load_scene(tmp_path / "map.xml")
+    data = mujoco.MjData(scene.model)
+    data.qpos[:], data.qvel[:] = (-2, 1, 1.5, 0.8, 0, 0.6, 0), (1, 2, 3, 0.4, -0.5, 0.6)
+    state = DroneState(jnp.float32(data.qpos), jnp.float32(data.qvel))
+    data.ctrl[:] = (1, 2, 3, 2.5)
+    found = jax.jit(lambda *args: physics_step(scene.vehicle, *args))(state, jnp.float32(data.ctrl))
+    mujoco.mj_step(scene.model, data)
+    np.testing.assert_allclose(found.qvel, data.qvel, atol=2e-6)
+    np.testing.assert_allclose(found.qpos, data.qpos, atol=2e-6)
 
 
 @pytest.mark.slow

@@ -18,9 +18,10 @@ from pecjax.studies.run import run_study
 from pecjax.training.presets import PRESETS
 
 RUN = PRESETS["fast"]
-RATES = ("ppo.learning_rate", (1e-4, 3e-4))
+RATES = ("agent.learning_rate", (1e-4, 3e-4))
 FLOORS = ("sampler.floor", (0.05, 0.5))
-GRID = StudySettings("own", RUN, ("pec", OWN, "uniform"), (0.1, 0.2), seeds=(0, 1), grid=(RATES, FLOORS))
+SAMPLERS = ("sampler", ("pec", OWN, "uniform"))
+GRID = StudySettings("own", RUN, (SAMPLERS, ("sampler.alpha", (0.1, 0.2)), RATES, FLOORS), seeds=(0, 1))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -32,32 +33,36 @@ def test_every_combination_is_a_run_and_a_sampler_has_its_own_settings_only():
     GRID.check()
     runs = [member for group in GRID.groups() for member in group]
     assert len(runs) == len(set(runs))
-    by_sampler = pd.Series([member.sampler for member in runs]).value_counts()
+    by_sampler = pd.Series([dict(member.values)["sampler"] for member in runs]).value_counts()
     assert by_sampler.to_dict() == {"pec": 2 * 2 * 2, OWN: 2 * 2 * 2, "uniform": 2 * 2}
     assert set(runs) == {member for part in GRID.slices() for member in part}
     for member in runs:
         settings = GRID.settings_of(member)
-        assert settings.ppo.learning_rate == dict(member.values)["ppo.learning_rate"]
-        assert getattr(settings.sampler, "floor", None) == dict(member.values).get("sampler.floor")
+        assert settings.agent.learning_rate == dict(member.values)["agent.learning_rate"]
+        for name in ("alpha", "floor"):
+            assert getattr(settings.sampler, name, None) == dict(member.values).get(f"sampler.{name}")
 
 
 def test_what_differs_in_numbers_of_the_sampler_alone_shares_a_program():
     groups = GRID.groups()
     assert len(groups) == 3 * 2  # samplers × learning rates
     for group in groups:
-        alike = {(member.coordinates, member.sampler, fixed(member.values)) for member in group}
-        assert len(alike) == 1
+        (alike,) = {fixed(member.values) for member in group}
+        assert {name for name, _ in alike} == {"sampler", "agent.learning_rate"}
+        assert all(dict(alike).items() <= dict(member.values).items() for member in group)
         names = {tuple(numbers(member)) for member in group}
-        assert names == {{"pec": ("alpha",), OWN: ("floor",), "uniform": ()}[group[0].sampler]}
+        assert names == {{"pec": ("alpha",), OWN: ("floor",), "uniform": ()}[dict(alike)["sampler"]]}
 
 
 @pytest.mark.parametrize(
     ("words", "found"),
     [
-        (("ppo.learning-rate", "1e-4", "3e-4"), RATES),
-        (("ppo.num_epochs", "2", "4"), ("ppo.num_epochs", (2, 4))),
-        (("ppo.shuffle", "steps", "samples"), ("ppo.shuffle", ("steps", "samples"))),
+        (("agent.learning-rate", "1e-4", "3e-4"), RATES),
+        (("agent.num_epochs", "2", "4"), ("agent.num_epochs", (2, 4))),
+        (("agent.shuffle", "steps", "samples"), ("agent.shuffle", ("steps", "samples"))),
         (("sampler.floor", "0.05", "0.5"), FLOORS),
+        (("task.goal-radius", "0.3", "1"), ("task.goal_radius", (0.3, 1.0))),
+        (("sampler", "pec", OWN), ("sampler", ("pec", OWN))),
     ],
 )
 def test_words_are_values_of_the_settings_type(words, found):
@@ -67,17 +72,22 @@ def test_words_are_values_of_the_settings_type(words, found):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--grid", "ppo.learning_rate"], "'ppo.learning_rate' has no values"),
-        (["--grid", "ppo.lerning_rate", "1"], "no setting ppo.lerning_rate (did you mean learning_rate?)"),
-        (["--grid", "ppo.learning_rate", "fast"], "ppo.learning_rate is 'fast'; it takes float"),
-        (["--grid", "ppo.network.hidden", "64"], "ppo.network.hidden is '64'"),
-        (["--grid", "ppo.learning_rate", "1e-4", "1e-4"], "names 0.0001 more than once"),
-        (["--grid", "ppo.clip", "0.1", "--grid", "ppo.clip", "0.2"], "name a setting twice"),
-        (["--grid", "ppo.num_minibatches", "8", "5"], "5 minibatches do not divide 32 steps"),
-        (["--grid", "iterations", "3", "4"], "iterations is neither of the sampler nor of ppo"),
-        (["--grid", "seed", "3", "4"], "seed is neither of the sampler nor of ppo"),
-        (["--grid", "apex.batch_size", "8", "16"], "apex.batch_size is neither of the sampler nor of ppo"),
-        (["--grid", "sampler.alpha", "0", "1"], "sampler.alpha has an option of its own; give --alphas"),
+        (["--grid", "agent.learning_rate"], "'agent.learning_rate' has no values"),
+        (["--grid", "agent.lerning_rate", "1"], "agent.lerning_rate (did you mean learning_rate?)"),
+        (["--grid", "task.task_kind", "x"], "no setting task.task_kind"),
+        (["--grid", "agent.learning_rate", "fast"], "agent.learning_rate is 'fast'; it takes float"),
+        (["--grid", "agent.network.hidden", "64"], "agent.network.hidden is '64'"),
+        (["--grid", "agent.learning_rate", "1e-4", "1e-4"], "names 0.0001 more than once"),
+        (
+            ["--grid", "agent.clip_epsilon", "0.1", "--grid", "agent.clip_epsilon", "0.2"],
+            "agent.clip_epsilon is given twice",
+        ),
+        (["--grid", "agent.num_minibatches", "8", "5"], "5 minibatches do not divide 32 steps"),
+        (["--grid", "stop.iterations", "3", "4"], "stop.iterations is not of task, sampler or agent"),
+        (["--grid", "seed", "3", "4"], "seed is not of task, sampler or agent"),
+        (["--grid", "agent", "ppo", "apex"], "all runs of a study share their agent; give it with --agent"),
+        (["--grid", "agent.batch_size", "8", "16"], "no setting agent.batch_size"),
+        (["--alphas", "0", "1", "--grid", "sampler.alpha", "0", "1"], "sampler.alpha is given twice"),
         (["--grid", "sampler.floor", "0", "1"], "no setting sampler.floor"),
     ],
 )
@@ -101,21 +111,23 @@ class WithoutNumbers(SamplerSettings):
 
 def test_a_sampler_whose_state_lacks_the_number_is_refused():
     own = f"{__name__}:WithoutNumbers"
-    replace(GRID, samplers=(own,), grid=()).check()
+    alone = ("sampler", (own,))
+    replace(GRID, grid=(alone,)).check()
     with pytest.raises(InputError, match=r"WithoutNumbers: its init does not take floor .* in its state"):
-        replace(GRID, samplers=(own,), grid=(FLOORS,)).check()
+        replace(GRID, grid=(alone, FLOORS)).check()
 
 
 @pytest.fixture(scope="module")
 def made_up(tmp_path_factory):
     """A study whose goal ratios follow from the learning rate and the sampler."""
     folder = tmp_path_factory.mktemp("grid") / "study"
-    settings = replace(study_settings(samplers=("pec", OWN, "uniform")), grid=(RATES, FLOORS))
+    settings = study_settings(samplers=SAMPLERS[1])
+    settings = replace(settings, grid=(*settings.grid, RATES, FLOORS))
 
-    def ratio(member, progress):
-        values = dict(member.values)
-        better = {"pec": 0.1, OWN: values.get("sampler.floor", 0), "uniform": 0.0}[member.sampler]
-        return progress * (0.4 + better + (values["ppo.learning_rate"] > 2e-4) * 0.1)
+    def ratio(run, progress):
+        better = {"alpha": 0.1, "floor": getattr(run.sampler, "floor", 0.0)}
+        gain = sum(more for name, more in better.items() if hasattr(run.sampler, name))
+        return progress * (0.4 + gain + (run.agent.learning_rate > 2e-4) * 0.1)
 
     write_study(folder, settings, ratio)
     return folder
@@ -123,7 +135,7 @@ def made_up(tmp_path_factory):
 
 def test_tables_have_a_column_for_every_path_with_all_digits(made_up):
     results = pd.read_csv(made_up / "results.csv", dtype=str)
-    assert set(results["ppo.learning_rate"]) == {"0.0001", "0.0003"}
+    assert set(results["agent.learning_rate"]) == {"0.0001", "0.0003"}
     floors = results.groupby("sampler")["sampler.floor"].agg(lambda column: set(column.dropna()))
     assert floors.to_dict() == {"pec": set(), OWN: {"0.05", "0.5"}, "uniform": set()}
     assert len(results) == 3 * 2 * (1 + 2 + 1) * results.iteration.nunique()
@@ -154,16 +166,17 @@ def test_its_figures_have_names_of_their_own(made_up, monkeypatch):
 @pytest.mark.slow
 def test_a_run_of_a_grid_is_the_run_that_its_settings_make(tmp_path):
     smoke = find_study("fig4", "smoke")
-    study = replace(smoke, samplers=(OWN,), seeds=(3,), grid=(FLOORS, ("ppo.learning_rate", (1e-3, 1e-2))))
+    space, own = ("task.table", ("1",)), ("sampler", (OWN,))
+    study = replace(smoke, seeds=(3,), grid=(space, own, FLOORS, ("agent.learning_rate", (1e-3, 1e-2))))
     run_study(study, tmp_path / "grid")
     found = pd.read_csv(tmp_path / "grid" / "metrics.csv")
-    assert found.groupby(["sampler.floor", "ppo.learning_rate"]).size().tolist() == [4] * 4
+    assert found.groupby(["sampler.floor", "agent.learning_rate"]).size().tolist() == [4] * 4
     member = next(m for part in study.slices() for m in part if numbers(m) == {"floor": 0.5})
     settings = study.settings_of(member)
-    alone = replace(study, run=replace(settings, coordinates="1"), grid=(("sampler.floor", (0.5,)),))
+    alone = replace(study, run=settings, grid=(space, own, ("sampler.floor", (0.5,))))
     run_study(alone, tmp_path / "alone")
-    rate = settings.ppo.learning_rate
-    rows = found[(found["sampler.floor"] == 0.5) & (found["ppo.learning_rate"] == rate)]
+    rate = settings.agent.learning_rate
+    rows = found[(found["sampler.floor"] == 0.5) & (found["agent.learning_rate"] == rate)]
     wanted = pd.read_csv(tmp_path / "alone" / "metrics.csv")
     columns = ["iteration", "env_steps", "goal_ratio", "episodes", "mean_return"]
     pd.testing.assert_frame_equal(rows[columns].reset_index(drop=True), wanted[columns], rtol=1e-5)

@@ -10,13 +10,13 @@ from scipy import stats
 from pecjax.studies.statistics import (
     area_under_curve,
     cvar,
-    first_held,
+    first_sustained,
     interquartile_mean,
     interval,
     paired_difference,
     sign_flip_p,
     steps_to_exit,
-    steps_until,
+    steps_to_threshold,
     trial_and_failure_ratios,
 )
 
@@ -56,9 +56,9 @@ def test_the_worst_tenth_is_of_the_configurations_flown(flown):
 )
 def test_held_five_in_a_row(ratios, at):
     ratios = np.array(ratios, float)
-    assert first_held(ratios, 0.9) == at
+    assert first_sustained(ratios, 0.9) == at
     steps = 100 * (1 + np.arange(len(ratios)))
-    assert steps_until(steps, ratios, 0.9) == (np.inf if at is None else steps[at])
+    assert steps_to_threshold(steps, ratios, 0.9) == (np.inf if at is None else steps[at])
     assert steps_to_exit(steps, ratios, 0.9) == (np.inf if at is None else steps[at + 4])
 
 

@@ -1,4 +1,4 @@
-"""Shapes, initial weights, and the wall between actor and critic."""
+"""Features, shapes, initial weights, and the wall between actor and critic."""
 
 from functools import cache
 
@@ -6,9 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import special, stats
 
-from pecjax.agents.networks import ActorCritic, NetworkSettings, draw_action, encode, patches
+from pecjax.agents.networks import ActorCritic, NetworkSettings, forward, patches
+from pecjax.agents.observations import boxes, encode, image_shapes, num_values
+from pecjax.envs.rooms.sensing import scale
+from pecjax.envs.spaces import Box
 
 ACTIONS, FAR = 15, 10.0
 MLP = NetworkSettings()
@@ -16,16 +18,25 @@ NORMC = NetworkSettings(hidden=(256, 256), initializer="normc")
 CNN = NetworkSettings(encoder="cnn", hidden=(32,))
 
 
+def space(height: int, width: int):
+    return {"depth": Box((height, width), 0.01, 1.0), "goal": Box((3,))}
+
+
+def seen(obs):
+    """The features of what a drone senses, in SI units."""
+    return encode(space(*obs["depth"].shape[-2:]), scale(obs, FAR))
+
+
 def features(*batch: int, height: int = 12, width: int = 16, seed: int = 0):
     draw = np.random.default_rng(seed)
     depth = draw.uniform(0.1, FAR, (*batch, height, width))
     goal = np.stack([draw.uniform(0, 18, batch), draw.uniform(-np.pi, np.pi, batch)], axis=-1)
-    return encode({"depth": jnp.asarray(depth, jnp.float32), "goal": jnp.asarray(goal, jnp.float32)}, FAR)
+    return seen({"depth": jnp.asarray(depth, jnp.float32), "goal": jnp.asarray(goal, jnp.float32)})
 
 
 @cache
 def made(settings: NetworkSettings, height: int = 12, width: int = 16):
-    network = ActorCritic(settings, ACTIONS, (height, width))
+    network = ActorCritic(settings, ACTIONS, image_shapes(space(height, width)))
     params = jax.jit(network.init)(jax.random.key(0), features(1, height=height, width=width))
     return network, params, jax.jit(network.apply)
 
@@ -130,20 +141,73 @@ def test_every_action_is_nearly_as_likely_at_first(settings, height, width):
     np.testing.assert_allclose(probabilities, 1 / ACTIONS, rtol=0.15)
 
 
-def test_encode_scales_depth_and_distance_and_turns_the_bearing_into_a_point():
+def test_features_scale_depth_and_distance_and_turn_the_bearing_into_a_point():
     obs = {
         "depth": jnp.array([[0.1, 5.0], [10.0, 2.5]]),
         "goal": jnp.array([5.0, np.pi / 2]),
     }
-    np.testing.assert_allclose(encode(obs, far=10.0), [0.01, 0.5, 1.0, 0.25, 0.5, 1.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(seen(obs), [0.01, 0.5, 1.0, 0.25, 0.5, 1.0, 0.0], atol=1e-6)
 
 
-def test_encode_has_no_jump_behind_the_drone():
+def test_features_have_no_jump_behind_the_drone():
     def at(bearing: float):
-        return encode({"depth": jnp.ones((1, 1)), "goal": jnp.array([1.0, bearing])}, far=10.0)
+        return seen({"depth": jnp.ones((1, 1)), "goal": jnp.array([1.0, bearing])})
 
     np.testing.assert_allclose(at(np.pi - 1e-4), at(-np.pi + 1e-4), atol=3e-4)
     assert np.abs(at(0.5) - at(-0.5)).max() > 0.9  # while left and right are told apart
+
+
+# Numbers before, between and after images, in the order of a tree's keys.
+MANY = {
+    "a": Box((2,)),
+    "b": Box((2, 3), 0.0, 1.0),
+    "c": (Box(()), Box((17, 20, 3), -1.0, 1.0)),
+    "d": Box((1,)),
+}
+
+
+def some_of_many(*batch: int):
+    draw = np.random.default_rng(2)
+    return jax.tree.map(lambda box: jnp.asarray(draw.uniform(size=(*batch, *box.shape)), jnp.float32), MANY)
+
+
+@pytest.mark.parametrize("batch", [(), (4,), (2, 3)])
+def test_images_come_first_in_the_features_whatever_their_place(batch):
+    obs = some_of_many(*batch)
+    in_order = [obs["b"], obs["c"][1], obs["a"], obs["c"][0], obs["d"]]
+    flat = np.concatenate([np.reshape(part, (*batch, -1)) for part in in_order], axis=-1)
+    np.testing.assert_array_equal(encode(MANY, obs), flat)
+    assert image_shapes(MANY) == ((2, 3), (17, 20, 3))
+    assert num_values(MANY) == flat.shape[-1] == 6 + 17 * 20 * 3 + 2 + 1 + 1
+    assert [box.shape for box in boxes(MANY)] == [(2, 3), (17, 20, 3), (2,), (), (1,)]
+
+
+def test_an_observation_that_is_one_array_is_a_space_of_one_box():
+    draw = np.random.default_rng(3)
+    row, image = draw.normal(size=(5, 4)), draw.normal(size=(5, 4, 6))
+    np.testing.assert_array_equal(encode(Box((4,)), jnp.float32(row)), np.float32(row))
+    np.testing.assert_array_equal(encode(Box((4, 6)), jnp.float32(image)), np.float32(image.reshape(5, 24)))
+    assert image_shapes(Box((4,))) == () and image_shapes(Box((4, 6))) == ((4, 6),)
+
+
+def test_several_images_of_any_depth_each_pass_convolutions_of_their_own():
+    network = ActorCritic(CNN, ACTIONS, image_shapes(MANY))
+    obs = some_of_many(3)
+    rows = encode(MANY, obs)
+    params = jax.jit(network.init)(jax.random.key(0), rows)
+    logits, value = forward(network, params, rows)
+    assert logits.shape == (3, ACTIONS) and value.shape == (3,)
+    convolutions = params["params"]["actor_convolutions"]
+    # Three layers of each image, the first over 4×4 pixels of its own channels.
+    assert [convolutions[f"Dense_{n}"]["kernel"].shape[0] for n in (0, 3)] == [16 * 1, 16 * 3]
+    assert len(convolutions) == 6
+
+    # Each part has a say: a change in any of them changes what comes out.
+    for place in range(5):
+        leaves, tree = jax.tree.flatten(obs)
+        leaves[place] = leaves[place] + 0.5
+        other, _ = forward(network, params, encode(MANY, jax.tree.unflatten(tree, leaves)))
+        assert np.abs(other - logits).max() > 1e-6
 
 
 @pytest.mark.parametrize(("height", "width", "size"), [(8, 12, 4), (7, 10, 4), (6, 5, 2)])
@@ -156,26 +220,3 @@ def test_a_product_over_patches_is_a_convolution_whose_kernels_do_not_overlap(he
     layout = ("NHWC", "HWIO", "NHWC")
     theirs = jax.lax.conv_general_dilated(image, kernel, (size, size), edge, dimension_numbers=layout)
     np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-5)
-
-
-def test_an_action_is_the_distribution_function_inverted():
-    draw = np.random.default_rng(1)
-    logits, chance = draw.normal(size=(500, 15)), draw.uniform(size=500)
-    weights = np.exp(logits)
-    reached = np.cumsum(weights, axis=1) / weights.sum(axis=1, keepdims=True)
-    expected = [np.searchsorted(row, at, side="right") for row, at in zip(reached, chance, strict=True)]
-    np.testing.assert_array_equal(draw_action(jnp.float32(logits), jnp.float32(chance)), expected)
-
-
-def test_drawn_actions_are_as_frequent_as_they_are_likely():
-    logits = jnp.array([0.0, 3.0, -jnp.inf, 1.0])
-    drawn = draw_action(jnp.tile(logits, (10**5, 1)), jax.random.uniform(jax.random.key(0), (10**5,)))
-    found, likely = np.bincount(drawn, minlength=4), special.softmax(np.float64(logits))
-    assert found[2] == 0
-    assert stats.chisquare(found[likely > 0], 1e5 * likely[likely > 0]).pvalue > 1e-3
-
-
-def test_an_action_is_never_one_too_many():
-    # In float32 these 15 equal likelihoods may add up to less than the greatest chance.
-    greatest = np.nextafter(np.float32(1), np.float32(0))
-    assert draw_action(jnp.zeros(15), jnp.asarray(greatest)) == 14

@@ -10,20 +10,26 @@ import optax
 import pytest
 import rlax
 from jax.sharding import PartitionSpec
-from probe_tasks import TABLE, TwoStates
+from probe_tasks import TARGET_WORLD, WORLD, CutOff, Target, TwoStates
+from scipy import stats
 from scipy.special import log_softmax
 from scipy.stats import entropy as scipy_entropy
+from test_returns import cut_batch, episode_by_episode
 
 import pecjax
-from pecjax.agents import AXIS, fleet_mesh, ppo, ppo_update, shard
-from pecjax.agents.networks import ActorCritic, NetworkSettings
-from pecjax.agents.ppo_update import Batch, PPOSettings
+from pecjax.agents import AXIS, PPO, device_mesh, shard
+from pecjax.agents.distributions import categorical, tanh_normal
+from pecjax.agents.networks import ActorCritic, NetworkSettings, forward
+from pecjax.agents.ppo import update as ppo_update
+from pecjax.agents.ppo.update import Batch
 from pecjax.agents.rollout import Trajectory
 from pecjax.curriculum import PEC
-from pecjax.envs.rooms.navigation import NavigationSettings
+from pecjax.envs.axes import fill
+from pecjax.envs.spaces import Box
+from pecjax.envs.task import World
 from pecjax.training.presets import PRESETS
 
-RLLIB = PRESETS["rllib085"].ppo
+RLLIB = PRESETS["rllib085"].agent
 ROWS, ACTIONS = 64, 15
 
 # Stands in for a network: its parameters are the logits and values themselves.
@@ -41,8 +47,8 @@ def random_batch(seed: int):
     value = normal(300, ROWS)
     batch = Batch(
         features=None,
-        action=draw.integers(0, ACTIONS, ROWS).astype(np.int32),
-        logits=old,
+        drawn=draw.integers(0, ACTIONS, ROWS).astype(np.int32),
+        params=old,
         value=value,
         advantage=normal(1, ROWS),
         target=value + normal(30, ROWS),
@@ -50,13 +56,14 @@ def random_batch(seed: int):
     return batch, (old + normal(0.4, ROWS, ACTIONS), value + normal(12, ROWS))
 
 
-def rllib_loss(batch: Batch, logits, value, kl_coeff: float, settings: PPOSettings) -> float:
+def rllib_loss(batch: Batch, logits, value, kl_coeff: float, settings: PPO) -> float:
     """RLlib 0.8.5, `PPOLoss`, in float64."""
-    new, old = log_softmax(np.float64(logits), axis=1), log_softmax(np.float64(batch.logits), axis=1)
+    new, old = log_softmax(np.float64(logits), axis=1), log_softmax(np.float64(batch.params), axis=1)
     rows = np.arange(len(value))
-    ratio = np.exp(new[rows, batch.action] - old[rows, batch.action])
+    ratio = np.exp(new[rows, batch.drawn] - old[rows, batch.drawn])
     surrogate = np.minimum(
-        batch.advantage * ratio, batch.advantage * np.clip(ratio, 1 - settings.clip, 1 + settings.clip)
+        batch.advantage * ratio,
+        batch.advantage * np.clip(ratio, 1 - settings.clip_epsilon, 1 + settings.clip_epsilon),
     )
     kl = np.sum(np.exp(old) * (old - new), axis=1)
     entropy = -np.sum(np.exp(new) * new, axis=1)
@@ -70,14 +77,14 @@ def rllib_loss(batch: Batch, logits, value, kl_coeff: float, settings: PPOSettin
     return per_row.mean()
 
 
-def our_loss(settings: PPOSettings, batch: Batch, params, kl_coeff: float = 0.0):
-    return ppo_update.loss(IDENTITY, settings, params, batch, jnp.float32(kl_coeff))
+def our_loss(settings: PPO, batch: Batch, params, kl_coeff: float = 0.0):
+    return ppo_update.loss(IDENTITY, categorical(ACTIONS), settings, params, batch, jnp.float32(kl_coeff))
 
 
 LOSSES = {
     "rllib085": RLLIB,
-    "fast": PPOSettings(),
-    "all terms": replace(RLLIB, value_coeff=0.7, entropy_coeff=0.3, clip=0.1),
+    "fast": PPO(),
+    "all terms": replace(RLLIB, value_coeff=0.7, entropy_coeff=0.3, clip_epsilon=0.1),
 }
 
 
@@ -107,7 +114,7 @@ def test_gradient_equals_finite_differences_of_that_formula(name):
         return (ends[0] - ends[1]) / (2 * width)
 
     for row in range(0, ROWS, 4):
-        column = (row, (row * 7 + int(batch.action[row])) % ACTIONS)
+        column = (row, (row * 7 + int(batch.drawn[row])) % ACTIONS)
         # The loss is about 1e3, so float64 differences hold some nine digits of these slopes.
         np.testing.assert_allclose(of_logits[column], slope(0, column, 1e-4), rtol=1e-3, atol=1e-7)
         np.testing.assert_allclose(of_value[row], slope(1, (row,), 1e-3), rtol=1e-3, atol=1e-6)
@@ -132,19 +139,46 @@ def test_terms_equal_rlax_and_scipy(seed):
     batch, params = random_batch(seed)
     _, terms = our_loss(RLLIB, batch, params)
     rows = np.arange(ROWS)
-    new, old = jax.nn.softmax(params[0]), jax.nn.softmax(batch.logits)
-    ratio = new[rows, batch.action] / old[rows, batch.action]
-    surrogate = rlax.clipped_surrogate_pg_loss(ratio, jnp.asarray(batch.advantage), RLLIB.clip)
+    new, old = jax.nn.softmax(params[0]), jax.nn.softmax(batch.params)
+    ratio = new[rows, batch.drawn] / old[rows, batch.drawn]
+    surrogate = rlax.clipped_surrogate_pg_loss(ratio, jnp.asarray(batch.advantage), RLLIB.clip_epsilon)
     # Means of 64 float32 numbers near 1; the surrogate's cancel, hence its absolute tolerance.
     np.testing.assert_allclose(terms["policy_loss"], surrogate, rtol=1e-5, atol=1e-6)
-    kl = rlax.categorical_kl_divergence(jnp.asarray(batch.logits), jnp.asarray(params[0])).mean()
+    kl = rlax.categorical_kl_divergence(jnp.asarray(batch.params), jnp.asarray(params[0])).mean()
     np.testing.assert_allclose(terms["kl"], kl, rtol=1e-4)
     np.testing.assert_allclose(terms["entropy"], scipy_entropy(np.float64(new), axis=1).mean(), rtol=1e-5)
 
 
-def trajectory_of(rewards, values, dones) -> Trajectory:
+def test_terms_of_continuous_actions_equal_scipys():
+    draw = np.random.default_rng(4)
+    box = Box((2,), -2.0, 2.0)
+    of, (old, new) = tanh_normal(box), draw.normal(0, 0.5, (2, ROWS, 4)).astype(np.float32)
+    noise = draw.normal(size=(ROWS, 2)).astype(np.float32)
+    advantage, value = draw.normal(size=(2, ROWS)).astype(np.float32)
+    batch = Batch(None, of.draw(old, noise), old, value, advantage, value)
+    settings = replace(RLLIB, entropy_coeff=0.2)
+    total, terms = ppo_update.loss(IDENTITY, of, settings, (new, value), batch, jnp.float32(1.7))
+
+    def normal(params):
+        mean, raw = np.split(np.float64(params), 2, axis=-1)
+        return stats.norm(mean, np.log1p(np.exp(raw)) + 1e-3)
+
+    # The squashing is the same to both, and cancels.
+    drawn = np.float64(batch.drawn)
+    ratio = np.exp((normal(new).logpdf(drawn) - normal(old).logpdf(drawn)).sum(axis=-1))
+    surrogate = rlax.clipped_surrogate_pg_loss(jnp.float32(ratio), jnp.asarray(advantage), 0.2)
+    np.testing.assert_allclose(terms["policy_loss"], surrogate, rtol=1e-4, atol=1e-6)
+    assert 5 < (np.abs(ratio - 1) > 0.2).sum() < ROWS - 5
+    np.testing.assert_allclose(terms["kl"], of.kl(old, new).mean(), rtol=1e-5)
+    np.testing.assert_allclose(terms["entropy"], of.entropy(new, old, batch.drawn).mean(), rtol=1e-5)
+    expected = terms["policy_loss"] + 1.7 * terms["kl"] - 0.2 * terms["entropy"]
+    np.testing.assert_allclose(total, expected, rtol=1e-5)
+
+
+def trajectory_of(rewards, values, dones, bootstrap=None) -> Trajectory:
     logits = np.zeros((*values.shape, ACTIONS), np.float32)
-    return Trajectory(None, np.zeros(values.shape, np.int32), rewards, dones, (None, logits, values))
+    drawn = np.zeros(values.shape, np.int32)
+    return Trajectory(None, drawn, rewards, dones, bootstrap, (None, drawn, logits, values))
 
 
 def random_trajectory(scale: float = 500.0):
@@ -160,7 +194,7 @@ def prepared(settings, trajectory, last_value, devices: int):
     over_envs = PartitionSpec(None, AXIS)
     return jax.shard_map(
         lambda t, v: ppo_update.prepare(settings, t, v, AXIS),
-        mesh=fleet_mesh(devices),
+        mesh=device_mesh(devices),
         in_specs=(over_envs, PartitionSpec(AXIS)),
         out_specs=over_envs,
         check_vma=False,
@@ -173,7 +207,7 @@ def test_advantages_are_standardised_over_the_whole_batch(devices, reward_scale)
     settings = replace(RLLIB, reward_scale=reward_scale)
     trajectory, last_value = random_trajectory()
     batch = prepared(settings, trajectory, last_value, devices)
-    values = jnp.concatenate([trajectory.extras[2], last_value[None]])
+    values = jnp.concatenate([trajectory.extras[3], last_value[None]])
     raw = jax.vmap(rlax.truncated_generalized_advantage_estimation, (1, 1, None, 1), 1)(
         reward_scale * trajectory.reward, 0.99 * (1 - trajectory.done), 0.95, values
     )
@@ -183,11 +217,23 @@ def test_advantages_are_standardised_over_the_whole_batch(devices, reward_scale)
 
 
 @pytest.mark.parametrize("devices", [1, 2])
+def test_advantages_reach_beyond_cuts_in_what_the_learner_sees_of_rewards(devices):
+    rewards, values, dones, bootstrap = cut_batch(seed=9)
+    rewards, values, dones, bootstrap = rewards[:, :4], values[:, :4], dones[:, :4], bootstrap[:, :4]
+    settings = replace(RLLIB, reward_scale=0.01)
+    trajectory = trajectory_of(100 * rewards, values[:-1], dones, bootstrap)
+    batch = prepared(settings, trajectory, values[-1], devices)
+    raw = np.float64(episode_by_episode(rewards, values, dones, bootstrap, 0.99, 0.95))
+    np.testing.assert_allclose(batch.advantage, (raw - raw.mean()) / raw.std(), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(batch.target, raw + values[:-1], rtol=1e-4, atol=1e-2)
+
+
+@pytest.mark.parametrize("devices", [1, 2])
 def test_a_tiny_deviation_counts_as_a_ten_thousandth(devices):
     trajectory, last_value = random_trajectory(scale=1e-6)
     dones = np.ones_like(trajectory.done)  # advantage = reward - value
     batch = prepared(RLLIB, trajectory._replace(done=dones), last_value, devices)
-    raw = np.float64(trajectory.reward) - trajectory.extras[2]
+    raw = np.float64(trajectory.reward) - trajectory.extras[3]
     # The rewards lie around -1 with a spread of 1e-6, of which float32 keeps 6e-8.
     np.testing.assert_allclose(batch.advantage, (raw - raw.mean()) / 1e-4, atol=2e-3)
     assert batch.advantage.std() < 0.05
@@ -242,7 +288,7 @@ def test_the_shuffles_of_one_key_are_independent():
 
 
 def test_steps_are_permuted_anew_each_epoch_and_all_used():
-    settings = PPOSettings(num_steps=32, num_epochs=6, num_minibatches=8)
+    settings = PPO(num_steps=32, num_epochs=6, num_minibatches=8)
     rows = np.asarray(ppo_update.minibatch_rows(settings, jax.random.key(0), 32))
     assert rows.shape == (6 * 8, 4)
     epochs = rows.reshape(6, 32)
@@ -252,6 +298,7 @@ def test_steps_are_permuted_anew_each_epoch_and_all_used():
 
 def test_the_preset_rllib085_holds_every_value_of_rllib_and_of_the_paper():
     preset, found = PRESETS["rllib085"], RLLIB
+    assert isinstance(found, PPO)
     assert found.learning_rate == 5e-5 and found.adam_eps == 1e-8
     assert found.num_envs * found.num_steps == 5000  # train_batch_size
     assert 5000 // found.num_minibatches == 128 and found.num_minibatches == 39  # sgd_minibatch_size
@@ -260,12 +307,12 @@ def test_the_preset_rllib085_holds_every_value_of_rllib_and_of_the_paper():
     assert found.shuffle == "samples"
     assert found.kl_target == 0.01 and found.kl_coeff == 1.0
     assert found.value_clip == 10 and found.value_coeff == 1.0 and found.entropy_coeff == 0
-    assert found.discount == 0.99 and found.gae_lambda == 0.95 and found.clip == 0.2
+    assert found.discount == 0.99 and found.gae_lambda == 0.95 and found.clip_epsilon == 0.2
     assert found.max_grad_norm is None and found.reward_scale == 1.0
     assert found.network == NetworkSettings(encoder="mlp", hidden=(256, 256), initializer="normc")
-    assert preset.iterations == 1500 and preset.sampler == PEC(alpha=0.2)
-    assert preset.evaluate_every == 100 and preset.evaluation_episodes == 50
-    assert preset.coordinates == "1"
+    assert preset.stop.iterations == 1500 and preset.sampler == PEC(alpha=0.2)
+    assert preset.evaluation.every == 100 and preset.evaluation.episodes == 50
+    assert preset.task == pecjax.Rooms(table="1")
 
 
 # Goals one metre away, three of them near a wall, so that episodes end within a few steps.
@@ -273,7 +320,7 @@ NEAR = pecjax.Configurations(
     np.array([[0, -2], [5, -2.4], [-5, -2], [6, -1]], np.float32),
     np.array([[1, -2], [5, -3.4], [-5, -1], [7, -1]], np.float32),
 )
-SMALL = PPOSettings(
+SMALL = PPO(
     num_envs=128,
     num_minibatches=4,
     learning_rate=1e-3,
@@ -286,24 +333,27 @@ SHUFFLES = {
 
 
 @pytest.fixture(scope="module")
-def near(scene):
-    """(settings, devices) -> an agent on `NEAR`, unsharded where devices is None."""
-    env = pecjax.RoomsNavigation(scene, NEAR, NavigationSettings(max_steps=100))
-    sampler = pecjax.curriculum.pec(NEAR.size, 0.2)
+def near_world(scene):
+    """The task on `NEAR`, and its world."""
+    env = pecjax.RoomsNavigation(scene, fill(NEAR), pecjax.NavigationSettings(max_steps=100))
+    return env.task, World(env.params, env.configurations)
 
-    def make(settings, devices=None):
-        if devices is None:
-            return ppo.make(env, NEAR, sampler, settings)
-        return shard(ppo.make(env, NEAR, sampler, settings, AXIS), fleet_mesh(devices))
 
-    return make
+def made(settings, task, world, devices=None):
+    """An agent of this task, unsharded where devices is None."""
+    sampler = pecjax.curriculum.pec(jax.tree.leaves(world.table)[0].shape[0], 0.2)
+    if devices is None:
+        return settings.make(task, sampler)
+    return shard(settings.make(task, sampler, AXIS), device_mesh(devices))
 
 
 @pytest.fixture(scope="module")
-def small(near):
-    """The unsharded agent of `SMALL`, compiled: init, iterate."""
-    agent = near(SMALL)
-    return jax.jit(agent.init), jax.jit(agent.iterate)
+def small(near_world):
+    """The unsharded agent of `SMALL`, compiled: init and iterate, of key and state alone."""
+    task, world = near_world
+    agent = made(SMALL, task, world)
+    init, iterate = jax.jit(agent.init), jax.jit(agent.iterate)
+    return lambda key: init(key, world), lambda state: iterate(state, world)
 
 
 def assert_trees_close(one, other, atol):
@@ -318,47 +368,45 @@ def assert_trees_close(one, other, atol):
     jax.tree.map(close, one, other)
 
 
-def assert_learn_alike(one_agent, many_agent, iterations):
+def assert_learn_alike(one_agent, many_agent, world, iterations):
     """Iteration by iteration; returns the trials, and the last state of the agent on many devices.
 
     Every iteration begins with the same learner, since what rounding leaves of it grows from one to
     the next: Adam divides by gradients that grow small, and a draw near its edge falls either way.
     """
     iterate, together = jax.jit(one_agent.iterate), jax.jit(many_agent.iterate)
-    one, many = jax.jit(one_agent.init)(jax.random.key(0)), many_agent.init(jax.random.key(0))
-    trials = 0
+    one, many = jax.jit(one_agent.init)(jax.random.key(0), world), many_agent.init(jax.random.key(0), world)
     for _ in range(iterations):
         same = jax.tree.map(lambda a, b: jax.device_put(a, b.sharding), one.learner, many.learner)
-        (one, of_one), (many, of_many) = iterate(one), together(many._replace(learner=same))
-        np.testing.assert_array_equal(one.fleet.config_id, many.fleet.config_id)
-        np.testing.assert_array_equal(of_one.counts, of_many.counts)
+        (one, of_one), (many, of_many) = iterate(one, world), together(many._replace(learner=same), world)
+        np.testing.assert_array_equal(one.envs.running.config_id, many.envs.running.config_id)
+        np.testing.assert_array_equal(one.counts, many.counts)
         assert_trees_close(one.learner, many.learner, atol=1e-6)
         # Lengths of metres and returns of thousands, after 100 physics steps in float32.
-        assert_trees_close(one.fleet, many.fleet, atol=1e-4)
+        assert_trees_close(one.envs, many.envs, atol=1e-4)
         assert_trees_close((one.sampler, one.key), (many.sampler, many.key), atol=0)
         assert_trees_close(of_one, of_many, atol=1e-4)
-        trials += int(of_one.counts[0].sum())
-    return trials, many
+    return int(one.counts[0].sum()), many
 
 
 @pytest.mark.parametrize("devices", [pytest.param(2, marks=pytest.mark.slow), 4])
 def test_many_devices_learn_as_one(devices):
     """In a task whose numbers are exact, so that all that differs is the rounding of sums over devices."""
-    sampler, env = pecjax.curriculum.pec(TABLE.size), TwoStates()
-    many = shard(ppo.make(env, TABLE, sampler, SMALL, AXIS), fleet_mesh(devices))
-    trials, state = assert_learn_alike(ppo.make(env, TABLE, sampler, SMALL), many, iterations=20)
+    many = made(SMALL, TwoStates(), WORLD, devices)
+    trials, state = assert_learn_alike(made(SMALL, TwoStates(), WORLD), many, WORLD, iterations=20)
     assert trials > SMALL.num_envs  # so that drawing anew was part of it
-    # Sharing the fleet is the point of it.
-    assert len(state.fleet.config_id.sharding.device_set) == devices
+    # Sharing the environments is the point of it.
+    assert len(state.envs.running.config_id.sharding.device_set) == devices
 
 
 @pytest.mark.slow
-def test_two_devices_fly_and_learn_as_one(near):
+def test_two_devices_fly_and_learn_as_one(near_world):
     """In flight, for as long as no ray passes an edge: there a position's last digit decides what is seen.
 
     That comes after twelve iterations on JAX 0.12, and later on 0.9.
     """
-    trials, _ = assert_learn_alike(near(SMALL), near(SMALL, devices=2), iterations=6)
+    one, two = made(SMALL, *near_world), made(SMALL, *near_world, devices=2)
+    trials, _ = assert_learn_alike(one, two, near_world[1], iterations=6)
     assert trials > SMALL.num_envs
 
 
@@ -376,19 +424,21 @@ def test_two_devices_take_the_same_minibatches_as_one(shuffle, num_minibatches):
     features = normal(3 * 4 + 3)
     action = jnp.asarray(draw.integers(0, ACTIONS, (16, 8)), jnp.int32)
     batch = Batch(features, action, normal(ACTIONS), normal(), normal(), normal())
-    network = ActorCritic(settings.network, ACTIONS, (3, 4))
+    network = ActorCritic(settings.network, ACTIONS, ((3, 4),))
     optimizer = optax.adam(settings.learning_rate)
     params = jax.jit(network.init)(jax.random.key(0), features)
     learner = ppo_update.Learner(params, optimizer.init(params), jnp.float32(1.0))
     key = jax.random.key(1)
 
     def update(learner, batch, axis_name=None):
-        return ppo_update.update(network, optimizer, settings, learner, batch, key, axis_name)
+        return ppo_update.update(
+            network, categorical(ACTIONS), optimizer, settings, learner, batch, key, axis_name
+        )
 
     everywhere = PartitionSpec()
     shared = jax.shard_map(
         lambda learner, batch: update(learner, batch, AXIS),
-        mesh=fleet_mesh(2),
+        mesh=device_mesh(2),
         in_specs=(everywhere, PartitionSpec(None, AXIS)),
         out_specs=everywhere,
         check_vma=False,
@@ -400,22 +450,24 @@ def test_two_devices_take_the_same_minibatches_as_one(shuffle, num_minibatches):
 
 
 @pytest.mark.slow
-def test_seeds_may_be_vmapped(near, small):
+def test_seeds_may_be_vmapped(near_world, small):
+    task, world = near_world
     init, iterate = small
-    agent = near(SMALL)
+    agent = made(SMALL, task, world)
     keys = jax.random.split(jax.random.key(8), 2)
-    together = jax.jit(jax.vmap(agent.init))(keys)
-    many = jax.jit(jax.vmap(agent.iterate))
+    together = jax.jit(jax.vmap(agent.init, (0, None)))(keys, world)
+    many = jax.jit(jax.vmap(agent.iterate, (0, None)))
     alone = [init(key) for key in keys]
     for _ in range(2):
-        together, metrics = many(together)
+        together, metrics = many(together, world)
         for seed in range(2):
             alone[seed], expected = iterate(alone[seed])
             state, found = jax.tree.map(lambda leaf, seed=seed: leaf[seed], (together, metrics))
             assert_trees_close(state.learner, alone[seed].learner, atol=1e-6)
-            assert_trees_close(state.fleet, alone[seed].fleet, atol=1e-4)
-            np.testing.assert_array_equal(found.counts, expected.counts)
-    assert np.any(metrics.counts[0] != metrics.counts[1])
+            assert_trees_close(state.envs, alone[seed].envs, atol=1e-4)
+            np.testing.assert_array_equal(state.counts, alone[seed].counts)
+            np.testing.assert_array_equal(found.reported, expected.reported)
+    assert np.any(together.counts[0] != together.counts[1])
 
 
 @pytest.mark.slow
@@ -424,15 +476,103 @@ def test_it_learns_to_reach_a_goal_one_metre_away(small):
     state, ratios = init(jax.random.key(0)), []
     for _ in range(60):
         state, metrics = iterate(state)
-        trials, failures = np.asarray(metrics.counts).sum(axis=1)
+        trials, failures = np.asarray(metrics.reported)
         ratios.append(1 - failures / trials)
     # Chance comes to about 0.3; seeds 0, 1 and 2 were seen to end at 1.00, 0.99 and 0.87.
     assert np.mean(ratios[:5]) < 0.5
     assert np.mean(ratios[-5:]) > 0.75
 
 
-def test_minibatches_must_fit(near):
+TINY = PPO(
+    num_envs=64,
+    num_steps=10,
+    num_minibatches=2,
+    learning_rate=3e-3,
+    discount=0.9,
+    entropy_coeff=0.0,
+    reward_scale=1.0,
+    network=NetworkSettings(hidden=(16,)),
+)
+
+
+def learnt(settings, task, world, iterations):
+    """The agent, its learner and the metrics of each iteration."""
+    agent = made(settings, task, world)
+    iterate, state = jax.jit(agent.iterate), jax.jit(agent.init)(jax.random.key(0), world)
+    metrics = []
+    for _ in range(iterations):
+        state, of_this = iterate(state, world)
+        metrics.append(of_this)
+    return agent, state, metrics
+
+
+@pytest.mark.parametrize("params", [0.8, -1.5])
+def test_it_learns_continuous_actions_that_depend_on_the_configuration(params):
+    world = TARGET_WORLD._replace(params=jnp.float32(params))
+    agent, state, metrics = learnt(TINY, Target(), world, iterations=150)
+    greedy, drawn = (jax.jit(agent.policy(state.learner, greedy)) for greedy in (True, False))
+    for number in range(3):
+        obs = jnp.float32([number - 1])
+        target = [params * (number - 1), 1.0]
+        np.testing.assert_allclose(greedy(obs, jax.random.key(0)), target, atol=0.1)
+        several = jax.vmap(drawn, (None, 0))(obs, jax.random.split(jax.random.key(1), 100))
+        assert (np.abs(several) <= 2).all() and several.std(axis=0).min() > 1e-3
+    mean_distance = [of.sums["distance"] / of.episodes for of in metrics]
+    assert mean_distance[0] > 1 > 0.3 > mean_distance[-1]
+    # Every step is an episode, and its own metric and flag are of it.
+    assert metrics[0].episodes == metrics[0].reported[0] == TINY.num_envs * TINY.num_steps
+    assert state.counts.sum(axis=1).tolist() == np.sum([of.reported for of in metrics], axis=0).tolist()
+
+
+class Uncut(CutOff):
+    """The same, whose cuts are taken for endings."""
+
+    truncates = False
+
+
+def value_of(task, settings, iterations=150):
+    _, state, _ = learnt(settings, task, WORLD, iterations)
+    network = ActorCritic(settings.network, 2, ())
+    return float(forward(network, state.learner.params, jnp.ones(1))[1])
+
+
+@pytest.mark.parametrize("gae_lambda", [0.95, 0.0])
+def test_values_reach_across_a_cut_and_no_further_than_an_ending(gae_lambda):
+    """Whoever sees five steps of 1 each has to know that they go on."""
+    settings = replace(TINY, gae_lambda=gae_lambda, learning_rate=1e-2)
+    assert abs(value_of(CutOff(), settings) - 10) < 0.3
+    # Five steps at most are worth 4.1; all of them look alike, and that is the mean of what each sees.
+    value = value_of(Uncut(), settings)
+    assert abs(value - mean_value_of_five_steps(gae_lambda)) < 0.3 and value < 4.2
+
+
+def mean_value_of_five_steps(gae_lambda, discount=0.9):
+    """Where the targets' mean is what is predicted of every step."""
+    guess = 0.0
+    for _ in range(500):
+        advantage, targets = 0.0, []
+        for left in range(1, 6):
+            ahead = discount if left > 1 else 0.0
+            advantage = 1 + ahead * guess - guess + ahead * gae_lambda * advantage
+            targets.append(guess + advantage)
+        guess = np.mean(targets)
+    return guess
+
+
+def test_minibatches_must_fit(near_world):
     with pytest.raises(pecjax.InputError, match="5 minibatches do not divide 32 steps"):
-        near(replace(SMALL, num_minibatches=5))
+        made(replace(SMALL, num_minibatches=5), *near_world)
     with pytest.raises(pecjax.InputError, match="4097 minibatches"):
-        near(replace(SHUFFLES["samples"], num_minibatches=4097))
+        made(replace(SHUFFLES["samples"], num_minibatches=4097), *near_world)
+
+
+def test_what_cannot_be_learnt_is_refused():
+    cnn = replace(TINY, network=NetworkSettings(encoder="cnn"))
+    with pytest.raises(pecjax.InputError, match="needs an image among the observations; choose mlp"):
+        made(cnn, TwoStates(), WORLD)
+
+    class Boundless(Target):
+        action_space = Box((2,))
+
+    with pytest.raises(pecjax.InputError, match="no policy for the action space"):
+        made(TINY, Boundless(), TARGET_WORLD)

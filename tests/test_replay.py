@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pecjax.agents import apex, replay, sum_tree
-from pecjax.agents.apex_update import ApexSettings
-from pecjax.agents.replay import Frame, ReplaySettings
+from pecjax.agents import Apex
+from pecjax.agents.apex import agent as apex, replay, sum_tree
+from pecjax.agents.apex.replay import ReplaySettings
+from pecjax.agents.observations import encode, pack, unpack
 from pecjax.agents.rollout import Trajectory
+from pecjax.envs.spaces import Box
 
 
 def tree_of(priorities):
@@ -98,32 +100,62 @@ def test_finding_inverts_the_running_sum():
     assert near.mean() < 0.05
 
 
-FAR, SHAPE = 10.0, (3, 4)
+SPACE = {
+    "depth": Box((3, 4), 0.01, 1.0),
+    "goal": Box((2,), -3.0, 3.0),
+    "look": Box((2, 2, 3), -1.0, 4.0),
+    "unbounded": Box((2, 3)),
+}
 
 
-def test_depth_is_kept_to_half_a_step_of_its_range():
+def some_observations(number):
     draw = np.random.default_rng(0)
-    obs = {
-        "depth": jnp.asarray(draw.uniform(0.1, FAR, (5, *SHAPE)), jnp.float32),
-        "goal": jnp.asarray(draw.normal(size=(5, 2)), jnp.float32),
+    values = {
+        "depth": draw.uniform(0.01, 1, (number, 3, 4)),
+        "goal": draw.uniform(-3, 3, (number, 2)),
+        "look": draw.uniform(-1, 4, (number, 2, 2, 3)),
+        "unbounded": draw.normal(0, 100, (number, 2, 3)),
     }
-    frame = replay.compress(obs, FAR)
-    assert frame.depth.dtype == jnp.uint8
-    back = replay.expand(frame, SHAPE, FAR)
-    np.testing.assert_allclose(back["depth"], obs["depth"], atol=FAR / 255 / 2 + 1e-5)
-    np.testing.assert_array_equal(back["goal"], obs["goal"])
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), values)
+
+
+def test_images_of_finite_bounds_are_kept_to_half_a_step_and_all_else_exactly():
+    obs = some_observations(5)
+    packed = pack(SPACE, obs)
+    # Images first, of which only the third has no bounds to tell 255 steps between.
+    assert [part.dtype for part in packed] == [jnp.uint8, jnp.uint8, jnp.float32, jnp.float32]
+    assert [part.shape for part in packed] == [(5, 12), (5, 12), (5, 6), (5, 2)]
+    back = unpack(SPACE, packed)
+    features = encode(SPACE, obs)
+    assert back.shape == features.shape and back.dtype == jnp.float32
+    np.testing.assert_allclose(back[:, :12], features[:, :12], atol=0.99 / 255 / 2 + 1e-6)
+    np.testing.assert_allclose(back[:, 12:24], features[:, 12:24], atol=5 / 255 / 2 + 1e-6)
+    np.testing.assert_array_equal(back[:, 24:], features[:, 24:])
+
+
+def test_bounds_are_kept_exactly_and_what_was_kept_stays_as_it_is():
+    space = Box((1, 3), -1.0, 3.0)
+    ends = jnp.float32([[-1.0, 1.0, 3.0]])
+    np.testing.assert_allclose(unpack(space, pack(space, ends)), [-1, 1, 3], atol=4 / 255 / 2 + 1e-6)
+    np.testing.assert_array_equal(unpack(space, pack(space, ends))[np.array([0, 2])], [-1, 3])
+    every = (jnp.arange(255, dtype=jnp.uint8).reshape(85, 3),)
+    seen = unpack(space, every).reshape(85, 1, 3)
+    np.testing.assert_array_equal(pack(space, seen)[0], every[0])
 
 
 class Flown:
-    """A replay fed by made-up flights, beside a plain history of them."""
+    """A replay fed by made-up flights, beside a plain history of them.
 
-    def __init__(self, settings: ApexSettings, seed: int):
+    Some of their endings are cuts, beyond which there is a value.
+    """
+
+    def __init__(self, settings: Apex, seed: int):
         self.settings, self.draw = settings, np.random.default_rng(seed)
-        self.action, self.reward, self.done = [], [], []
+        self.action, self.reward, self.done, self.beyond = [], [], [], []
         envs, n = settings.num_envs, settings.n_step
         zero = jnp.zeros((envs, n))
         self.recent = apex.Recent(zero.astype(jnp.int32), zero, zero, zero, zero.astype(bool))
-        one = replay.empty(settings.num_rows, settings.shard_envs, 1)
+        one = replay.empty(settings.num_rows, settings.shard_envs, (jnp.zeros(2),))
         shards = settings.replay.num_shards
         self.shards = jax.tree.map(lambda leaf: jnp.zeros((shards, *leaf.shape), leaf.dtype), one)
         self._add = jax.jit(self._write)
@@ -134,23 +166,24 @@ class Flown:
         return recent, jax.vmap(add)(shards, apex.by_shard(rows, self.settings.shard_envs))
 
     def fly(self):
-        """One fragment; an observation says which environment saw it and when."""
-        steps, envs = self.settings.fragment, self.settings.num_envs
+        """One rollout; an observation says which environment saw it and when."""
+        steps, envs = self.settings.rollout_length, self.settings.num_envs
         now = len(self.action)
         new = [
             self.draw.integers(0, 15, (steps, envs)),
             self.draw.normal(size=(steps, envs)).astype(np.float32),
             (self.draw.random((steps, envs)) < 0.2).astype(np.float32),
         ]
-        for kept, rows in zip((self.action, self.reward, self.done), new, strict=True):
+        is_cut = (new[2] == 1) & (self.draw.random((steps, envs)) < 0.5)
+        new.append(np.where(is_cut, self.draw.normal(size=(steps, envs)), 0).astype(np.float32))
+        for kept, rows in zip((self.action, self.reward, self.done, self.beyond), new, strict=True):
             kept.extend(rows)
         time, env = np.meshgrid(np.arange(now, now + steps), np.arange(envs), indexing="ij")
-        frame = Frame(
-            jnp.zeros((steps, envs, 1), jnp.uint8), jnp.asarray(np.stack([env, time], -1), jnp.float32)
-        )
-        action, reward, done = map(jnp.asarray, new)
+        packed = (jnp.asarray(np.stack([env, time], -1), jnp.float32),)
+        action, reward, done, beyond = map(jnp.asarray, new)
         value = jnp.zeros((steps, envs))
-        trajectory = Trajectory(None, action.astype(jnp.int32), reward, done, (frame, value, value))
+        extras = (packed, value, value)
+        trajectory = Trajectory(None, action.astype(jnp.int32), reward, done, beyond, extras)
         self.recent, self.shards = self._add(self.recent, self.shards, trajectory)
 
     def transition(self, env, time):
@@ -158,24 +191,26 @@ class Flown:
         total, going_on = 0.0, 1.0
         for k in range(self.settings.n_step):
             total += going_on * self.settings.reward_scale * self.reward[time + k][env]
-            going_on *= self.settings.discount * (1 - self.done[time + k][env])
+            going_on *= self.settings.discount
+            if self.done[time + k][env]:
+                return self.action[time][env], total + going_on * self.beyond[time + k][env], 0.0
         return self.action[time][env], total, going_on
 
 
 @pytest.mark.parametrize(
-    ("num_envs", "fragment", "n_step", "rows", "shards"),
+    ("num_envs", "rollout_length", "n_step", "rows", "shards"),
     [(8, 2, 3, 12, 2), (6, 4, 2, 8, 3), (4, 1, 3, 7, 1), (4, 5, 1, 10, 4)],
 )
 def test_what_is_drawn_is_what_was_flown_and_never_two_episodes_mixed(
-    num_envs, fragment, n_step, rows, shards
+    num_envs, rollout_length, n_step, rows, shards
 ):
-    settings = ApexSettings(
+    settings = Apex(
         num_envs=num_envs,
-        num_steps=fragment,
-        fragment=fragment,
+        num_steps=rollout_length,
+        rollout_length=rollout_length,
         n_step=n_step,
         batch_size=shards,
-        replay_ratio=shards / (fragment * num_envs),
+        replay_ratio=shards / (rollout_length * num_envs),
         replay=ReplaySettings(capacity=rows * num_envs, num_shards=shards),
     )
     settings.check()
@@ -186,7 +221,7 @@ def test_what_is_drawn_is_what_was_flown_and_never_two_episodes_mixed(
         )
     )
     seen = set()
-    for turn in range(3 * rows // fragment + 2):  # the ring is written over three times
+    for turn in range(3 * rows // rollout_length + 2):  # the ring is written over three times
         flown.fly()
         written = len(flown.action)
         leaves = flown.shards.tree[:, flown.shards.tree.shape[1] // 2 :]
@@ -198,10 +233,10 @@ def test_what_is_drawn_is_what_was_flown_and_never_two_episodes_mixed(
         batch = draw(flown.shards, jax.random.split(jax.random.key(turn), shards))
         for shard in range(shards):
             for i in range(50):
-                env, time = map(int, batch.frame.goal[shard, i])
+                env, time = map(int, batch.obs[0][shard, i])
                 assert env // settings.shard_envs == shard
                 assert written - rows <= time < written - n_step + 1
-                np.testing.assert_array_equal(batch.next_frame.goal[shard, i], [env, time + n_step])
+                np.testing.assert_array_equal(batch.next_obs[0][shard, i], [env, time + n_step])
                 action, total, discount = flown.transition(env, time)
                 assert batch.action[shard, i] == action
                 np.testing.assert_allclose(batch.reward[shard, i], total, rtol=1e-5, atol=1e-7)
@@ -214,7 +249,7 @@ def test_what_is_drawn_is_what_was_flown_and_never_two_episodes_mixed(
 def test_weights_are_those_of_schaul_et_al(normalize):
     settings = ReplaySettings(alpha=0.6, beta=0.4, epsilon=1e-6, normalize=normalize)
     errors = np.random.default_rng(5).exponential(size=40).astype(np.float32)
-    shard = replay.empty(10, 4, 1)
+    shard = replay.empty(10, 4, (jnp.zeros(1),))
     shard = replay.reprioritize(settings, shard, jnp.arange(40), jnp.asarray(errors))
     batch = replay.sample(settings, shard, jax.random.key(0), 16, 4, 3)
     chances = (np.float64(errors) + 1e-6) ** 0.6
@@ -226,7 +261,7 @@ def test_weights_are_those_of_schaul_et_al(normalize):
 
 def test_a_new_error_is_a_new_priority_and_no_error_is_none():
     settings = ReplaySettings(alpha=0.5, epsilon=0.0)
-    shard = replay.empty(4, 2, 1)
+    shard = replay.empty(4, 2, (jnp.zeros(1),))
     shard = replay.reprioritize(settings, shard, jnp.array([1, 5, 6]), jnp.array([4.0, 9.0, -1.0]))
     held = sum_tree.get_leaves(shard.tree, jnp.arange(8))
     np.testing.assert_allclose(held, [0, 2, 0, 0, 0, 3, 0, 0], rtol=1e-6)

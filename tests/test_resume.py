@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import resource
 import shutil
 import signal
@@ -17,31 +16,45 @@ from hypothesis import given, settings, strategies
 from hypothesis.extra.numpy import array_shapes, arrays as arrays_of
 
 import pecjax
-from pecjax.agents.q_network import QNetworkSettings
-from pecjax.agents.replay import ReplaySettings
+from pecjax import agents
+from pecjax.agents.apex.q_network import QNetworkSettings
+from pecjax.agents.apex.replay import ReplaySettings
+from pecjax.agents.networks import NetworkSettings
+from pecjax.cli import main
 from pecjax.curriculum import PEC
+from pecjax.envs.rooms.settings import Rooms
 from pecjax.errors import DivergedError, StoppedError
 from pecjax.runtime import provenance
+from pecjax.settings_tree import from_json
 from pecjax.storage.arrays import CorruptFileError, read_arrays, write_arrays
 from pecjax.storage.files import alone
 from pecjax.studies.catalogue import find_study
-from pecjax.training import loop, presets, train as training
+from pecjax.training import loop, session, train as training
+from pecjax.training.former_versions import run_settings
+from pecjax.training.load import open_run
 from pecjax.training.presets import PRESETS
 from pecjax.training.run_directory import RunDirectory
+from pecjax.training.run_tables import configuration_table, trajectory_table
+from pecjax.training.settings import EvaluationSettings, RunSettings, StopSettings, override
 
-APEX = PRESETS["apex-fast"]
-SHORT = {"evaluate_every": 2, "evaluation_episodes": 6, "configurations_every": 4, "iterations": 6}
-PPO = replace(find_study("fig4", "smoke").run, **SHORT)
-APEX = replace(
-    APEX,
-    apex=replace(
-        APEX.apex.with_envs(8),
-        num_steps=128,
-        learning_starts=512,
-        network=QNetworkSettings(trunk=(8,), head=8),
-        replay=ReplaySettings(capacity=4096),
-    ),
-    **SHORT,
+
+def short(settings):
+    evaluation = replace(settings.evaluation, every=2, episodes=6)
+    return override(replace(settings, evaluation=evaluation, configurations_every=4), iterations=6)
+
+
+PPO = short(find_study("fig4", "smoke").run)
+APEX = short(
+    replace(
+        PRESETS["apex-fast"],
+        agent=replace(
+            PRESETS["apex-fast"].agent.with_envs(8),
+            num_steps=128,
+            learning_starts=512,
+            network=QNetworkSettings(trunk=(8,), head=8),
+            replay=ReplaySettings(capacity=4096),
+        ),
+    )
 )
 
 
@@ -57,15 +70,18 @@ def arrays(folder, name):
 
 def assert_same_run(one, other):
     """All but the time that it took."""
-    for name in ("configurations.csv", "evaluation.csv", "trajectories.csv", "coordinates.csv"):
+    for name in ("evaluation.csv", "coordinates.csv", "scene.xml"):
         assert (one / name).read_bytes() == (other / name).read_bytes(), name
     tables = [pd.read_csv(f / "metrics.csv", dtype=str).drop(columns="seconds") for f in (one, other)]
     pd.testing.assert_frame_equal(*tables)
     names = [sorted(str(p.relative_to(f)) for p in f.rglob("*.npz")) for f in (one, other)]
     assert names[0] == names[1]
+    assert {os.path.dirname(name) for name in names[0]} == {
+        "checkpoints", "configurations", "episodes", "states"
+    }  # fmt: skip
     for name in names[0]:
         first, second = arrays(one, name), arrays(other, name)
-        assert first.keys() == second.keys() and len(first) > 5
+        assert first.keys() == second.keys() and len(first) >= 3
         for key in first:
             np.testing.assert_array_equal(first[key], second[key], err_msg=f"{name} {key}")
 
@@ -86,18 +102,20 @@ def whole(folders):
 
 
 CASES = [
-    (PPO, "pec", 1),
-    pytest.param(PPO, "uniform", 2, marks=pytest.mark.slow),
-    pytest.param(APEX, "pec", 2, marks=pytest.mark.slow),
-    pytest.param(APEX, "uniform", 1, marks=pytest.mark.slow),
+    pytest.param(PPO, "pec", 1, id="ppo-pec-1"),
+    pytest.param(PPO, "uniform", 2, id="ppo-uniform-2", marks=pytest.mark.slow),
+    pytest.param(APEX, "pec", 2, id="apex-pec-2", marks=pytest.mark.slow),
+    pytest.param(APEX, "uniform", 1, id="apex-uniform-1", marks=pytest.mark.slow),
 ]
 
 
-@pytest.mark.parametrize(("settings", "sampler", "devices"), CASES, ids=lambda x: getattr(x, "algorithm", x))
-def test_three_and_three_iterations_are_six(settings, sampler, devices, whole, tmp_path):
-    settings = presets.override(settings, sampler=sampler)
+@pytest.mark.parametrize(("settings", "sampler", "devices"), CASES)
+@pytest.mark.parametrize("stop_at", [3, 4])
+def test_two_parts_of_a_training_are_the_whole(stop_at, settings, sampler, devices, whole, tmp_path):
+    """Whether or not the first of them ends with an evaluation that the whole has too."""
+    settings = override(settings, sampler=sampler)
     folder = tmp_path / "run"
-    training.train(replace(settings, iterations=3), folder, devices)
+    training.train(override(settings, iterations=stop_at), folder, devices)
     assert (folder / "summary.json").exists()
     summary = training.resume(settings, folder)
     assert_same_run(whole(settings, devices), folder)
@@ -108,45 +126,136 @@ def test_three_and_three_iterations_are_six(settings, sampler, devices, whole, t
     assert seconds.is_monotonic_increasing
 
 
-def in_the_first_words(settings):
-    """The settings of a run as the first version 0.1 wrote them: a sampler's name, and α for all."""
-    kind = settings["sampler"].pop("kind").rpartition(":")[2].lower()
-    settings |= {"alpha": settings["sampler"].get("alpha", 0.2), "sampler": kind}
+def in_the_words_of_0_1(settings, *, first):
+    """The settings of a run as version 0.1 wrote them: in one level, and those of both learners.
 
-
-def in_the_first_layout(path):
-    """Writes a position as the first version 0.1 did: configuration and counters in Brax's `info`."""
-    with np.load(path) as file:
-        parts = {key: file[key] for key in file.files}
-    for key in list(parts):
-        part = re.search(r"\.pipeline_state\.(config|step_count|standing_count)", key)
-        if part:
-            parts[key.replace(part[0], f".info['{part[1]}']")] = parts.pop(key)
-    alpha = parts.pop(".state.sampler.numbers['alpha']", None)
-    if alpha is None:
-        del parts[".state.sampler.counts"]  # uniform sampling kept none
+    Args:
+        first: whether as the first 0.1 did: a sampler's name, and α for all.
+    """
+    task, agent = settings["task"], settings["agent"]
+    name = agent.pop("kind").rpartition(":")[2].lower()
+    for former, today in (("clip", "clip_epsilon"), ("fragment", "rollout_length"), ("huber", "huber_delta")):
+        if today in agent:
+            agent[former] = agent.pop(today)
+    sampler = dict(settings["sampler"])
+    if first:
+        kind = sampler.pop("kind").rpartition(":")[2].lower()
+        sampler = {"alpha": sampler.get("alpha", 0.2), "sampler": kind}
     else:
-        parts[".state.sampler.alpha"] = alpha
-    about = json.loads(parts["about"].tobytes())
-    in_the_first_words(about["settings"])
-    parts["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
-    np.savez(path, **parts)
+        sampler = {"sampler": sampler}
+    evaluation = settings["evaluation"]
+    return {
+        "preset": settings["preset"],
+        "algorithm": name,
+        "ppo": {"num_envs": 512, "clip": 0.2},
+        "apex": {"num_envs": 512, "fragment": 2, "huber": 1.0},
+        name: agent,
+        "resolution": task["resolution"],
+        **sampler,
+        "coordinates": task["table"],
+        "scene": task["maps"][0] if task["maps"] else None,
+        "seed": settings["seed"],
+        **settings["stop"],
+        "evaluate_every": evaluation["every"],
+        "evaluation_episodes": evaluation["episodes"],
+        "evaluation_seed": evaluation["seed"],
+        "greedy": evaluation["greedy"],
+        "configurations_every": settings["configurations_every"],
+    }
 
 
-@pytest.mark.parametrize(("settings", "sampler", "devices"), CASES, ids=lambda x: getattr(x, "algorithm", x))
-def test_a_run_of_the_first_version_resumes(settings, sampler, devices, whole, tmp_path):
-    folder = tmp_path / "run"
-    settings = presets.override(settings, sampler=sampler)
-    training.train(replace(settings, iterations=3), folder, devices)
-    for path in (folder / "states").iterdir():
-        in_the_first_layout(path)
-        assert b".info[" in path.read_bytes() and b'"alpha": 0.2' in path.read_bytes()
+def as_version_0_1(folder, *, first=False):
+    """Makes a run's folder one of version 0.1: settings in one level, other tables, other states."""
+    directory = RunDirectory(folder)
+    counts, flights = configuration_table(directory), trajectory_table(directory)
+    counts.to_csv(folder / "configurations.csv", index=False)
+    flights.rename(columns={"success": "goal"}).to_csv(folder / "trajectories.csv", index=False)
+    evaluation = pd.read_csv(folder / "evaluation.csv")
+    kept = ["iteration", "env_steps", "goal_ratio", "mean_return"]
+    for iteration in evaluation.iteration:
+        episodes = directory.arrays("episodes", iteration)
+        ratios = pd.Series(episodes["success"]).groupby(episodes["config_id"]).mean()
+        evaluation.loc[evaluation.iteration == iteration, [f"c{n}" for n in ratios.index]] = ratios.to_numpy()
+    columns = [f"c{number}" for number in range(counts.config.max() + 1)]
+    evaluation.reindex(columns=kept + columns).to_csv(folder / "evaluation.csv", index=False)
+    for name in ("configurations", "episodes"):
+        shutil.rmtree(folder / name)
     config = json.loads((folder / "config.json").read_text())
-    in_the_first_words(config["settings"])
+    config["settings"] = in_the_words_of_0_1(config["settings"], first=first)
+    del config["files"]
+    for facts in (config, *config["sessions"]):
+        facts["versions"]["pecjax"] = "0.1.0"
+    if first:
+        del config["sessions"]
     (folder / "config.json").write_text(json.dumps(config))
-    assert RunDirectory(folder).settings() == replace(settings, iterations=3)
-    training.resume(settings, folder)
-    assert_same_run(whole(settings, devices), folder)
+    for path in (folder / "states").iterdir():
+        with np.load(path) as file:
+            parts = {key.replace(".envs", ".fleet"): file[key] for key in file.files}
+        about = {"settings": config["settings"], "version": "0.1.0"}
+        parts["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
+        np.savez(path, **parts)
+
+
+@pytest.mark.parametrize("first", [False, True])
+@pytest.mark.parametrize(("settings", "sampler", "devices"), CASES)
+def test_a_run_of_version_0_1_is_read_flown_and_drawn_but_not_resumed(
+    settings, sampler, devices, first, whole, tmp_path, capsys
+):
+    settings = override(settings, sampler=sampler)
+    today, folder = whole(settings, devices), tmp_path / "run"
+    shutil.copytree(today, folder)
+    as_version_0_1(folder, first=first)
+    assert (b'"alpha": 0.2, "sampler"' in (folder / "config.json").read_bytes()) == first
+    assert RunDirectory(folder).settings() == settings
+    assert RunDirectory(folder).num_devices() == devices
+    for checkpoint in (2, None):
+        flights, wanted = (open_run(run, checkpoint).evaluator()() for run in (folder, today))
+        jax.tree.map(np.testing.assert_array_equal, flights, wanted)
+    for table in (configuration_table, trajectory_table):
+        pd.testing.assert_frame_equal(*(table(RunDirectory(run)) for run in (folder, today)))
+    assert main(["figures", str(folder)]) == 0
+    assert {path.suffix for path in (folder / "figures").iterdir()} == {".png", ".svg"}
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    capsys.readouterr()
+    assert main(["train", "--resume", "--out", str(folder), "--iterations", "9"]) == 2
+    err = capsys.readouterr().err
+    assert f"{folder}: holds a run of another version ('0.1.0' there, '0.2" in err
+    assert err.count("\n") == 1 and len(err) < 300
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+def test_settings_of_version_0_1_are_todays():
+    """Of each setting that 0.1 had, whatever it is: none is left at its default by mistake."""
+    former = {
+        "preset": "image", "algorithm": "ppo",
+        "ppo": {"num_envs": 24, "clip": 0.3, "shuffle": "samples", "network": {"hidden": [8, 9]}},
+        "apex": {"num_envs": 99}, "resolution": [20, 10], "sampler": "pec", "alpha": 0.7,
+        "coordinates": "2", "scene": "my.xml", "seed": 7, "iterations": 11, "until_goal_ratio": 0.9,
+        "patience": 3, "evaluate_every": 5, "evaluation_episodes": 13, "evaluation_seed": 17,
+        "greedy": False, "configurations_every": 19,
+    }  # fmt: skip
+    found = from_json(run_settings(former), RunSettings)
+    assert found == RunSettings(
+        preset="image",
+        task=Rooms(table="2", maps=("my.xml",), resolution=(20, 10)),
+        sampler=PEC(0.7),
+        agent=agents.PPO(
+            num_envs=24, clip_epsilon=0.3, shuffle="samples", network=NetworkSettings(hidden=(8, 9))
+        ),
+        evaluation=EvaluationSettings(every=5, episodes=13, seed=17, greedy=False),
+        stop=StopSettings(iterations=11, until_goal_ratio=0.9, patience=3),
+        seed=7,
+        configurations_every=19,
+    )
+    former |= {"algorithm": "apex", "apex": {"fragment": 4, "huber": 2.0, "replay": {"beta": 0.5}}}
+    wanted = agents.Apex(rollout_length=4, huber_delta=2.0, replay=ReplaySettings(beta=0.5))
+    assert from_json(run_settings(former), RunSettings).agent == wanted
+    # A setting that there never was is refused, not left out.
+    former["apex"]["speed"] = 3
+    with pytest.raises(pecjax.InputError, match="has no setting speed"):
+        from_json(run_settings(former), RunSettings)
+    with pytest.raises(pecjax.InputError, match="unknown algorithm 'sac'"):
+        run_settings(former | {"algorithm": "sac"})
 
 
 @pytest.mark.parametrize(
@@ -174,9 +283,11 @@ def test_a_signal_is_seen_to_after_the_iteration(asked, at, whole, tmp_path, mon
             os.kill(os.getpid(), asked)
         return row(iteration, *args)
 
-    row = loop.tables.metrics_row
-    monkeypatch.setattr(loop.tables, "metrics_row", ask)
-    with pytest.raises(StoppedError, match=f"after iteration {at}; go on with pecjax train --resume") as stop:
+    row = loop.metrics_row
+    monkeypatch.setattr(loop, "metrics_row", ask)
+    with pytest.raises(
+        StoppedError, match=f"after iteration {at}; resume with pecjax train --resume"
+    ) as stop:
         training.train(PPO, folder, devices=1)
     assert stop.value.signal == asked and isinstance(stop.value, KeyboardInterrupt)
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == before
@@ -191,7 +302,7 @@ def test_a_second_signal_stops_at_once(tmp_path, monkeypatch):
         os.kill(os.getpid(), signal.SIGINT)
         raise AssertionError("was not stopped")
 
-    monkeypatch.setattr(loop.tables, "metrics_row", ask_twice)
+    monkeypatch.setattr(loop, "metrics_row", ask_twice)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs tests may ignore it
     try:
         with pytest.raises(KeyboardInterrupt) as stop:
@@ -205,10 +316,7 @@ def test_a_second_signal_stops_at_once(tmp_path, monkeypatch):
 def stopped(whole, tmp_path):
     """A run whose last checkpoint is of iteration 4 and whose tables were written on."""
     folder = tmp_path / "run"
-    shutil.copytree(whole(PPO, 1), folder)
-    (folder / "states" / "2.npz").write_bytes((folder / "states" / "4.npz").read_bytes())
-    shutil.rmtree(folder)
-    shutil.copytree(whole(replace(PPO, iterations=5), 1), folder)
+    shutil.copytree(whole(override(PPO, iterations=5), 1), folder)
     (folder / "states" / "5.npz").unlink()
     (folder / "summary.json").unlink()
     with (folder / "metrics.csv").open("a") as file:
@@ -218,7 +326,7 @@ def stopped(whole, tmp_path):
 
 def test_rows_after_the_last_checkpoint_are_rolled_back(stopped, whole, capsys):
     training.resume(PPO, stopped)
-    assert "goes on after iteration 4" in capsys.readouterr().err
+    assert "resumes after iteration 4" in capsys.readouterr().err
     assert_same_run(whole(PPO, 1), stopped)
 
 
@@ -234,7 +342,7 @@ def test_rows_after_the_last_checkpoint_are_rolled_back(stopped, whole, capsys):
 )
 def test_a_broken_checkpoint_gives_way_to_the_one_before(damage, whole, tmp_path, capsys):
     folder = tmp_path / "run"
-    training.train(replace(PPO, iterations=4), folder, devices=1)
+    training.train(override(PPO, iterations=4), folder, devices=1)
     path = folder / "states" / "4.npz"
     content = path.read_bytes()
     if damage == "torn":
@@ -250,7 +358,7 @@ def test_a_broken_checkpoint_gives_way_to_the_one_before(damage, whole, tmp_path
         path.unlink()
     training.resume(PPO, folder)
     err = capsys.readouterr().err
-    assert "goes on after iteration 2" in err
+    assert "resumes after iteration 2" in err
     assert ("falling back to the one before" in err) == (damage != "a part missing")
     assert_same_run(whole(PPO, 1), folder)
 
@@ -261,10 +369,10 @@ def test_nothing_to_go_on_from(whole, tmp_path):
     for path in (folder / "states").iterdir():
         path.write_bytes(b"torn")
     with pytest.raises(pecjax.InputError, match=r"6.npz: corrupt .* train anew"):
-        training.resume(replace(PPO, iterations=8), folder)
+        training.resume(override(PPO, iterations=8), folder)
     shutil.rmtree(folder / "states")
-    with pytest.raises(pecjax.InputError, match="no state to go on from"):
-        training.resume(replace(PPO, iterations=8), folder)
+    with pytest.raises(pecjax.InputError, match="no state to resume from"):
+        training.resume(override(PPO, iterations=8), folder)
     with pytest.raises(pecjax.InputError, match="no run here"):
         training.resume(PPO, tmp_path / "nowhere")
 
@@ -281,8 +389,8 @@ def ended(whole, tmp_path, monkeypatch):
     """A run at its end; `resume` goes up to its next iteration and returns where the loop would begin."""
     folder = tmp_path / "run"
     shutil.copytree(whole(PPO, 1), folder)
-    monkeypatch.setattr(training, "compile_iteration", lambda run: None)
-    monkeypatch.setattr(training, "loop", lambda session, here, iterate: here)
+    monkeypatch.setattr(session, "compile_iteration", lambda run: None)
+    monkeypatch.setattr(training, "_loop", lambda session, position, *_: position)
     return folder
 
 
@@ -295,20 +403,21 @@ def write_ratios(folder, ratios):
 
 def test_the_streak_of_a_resumed_run_is_that_of_its_new_threshold(ended):
     write_ratios(ended, [0.2, 0.95, 0.5, 0.9, 0.96, 0.97])
-    longer = replace(PPO, iterations=9)
+    longer = override(PPO, iterations=9)
     for threshold, patience, held in ((0.9, 4, 3), (0.95, 3, 2), (0.99, 1, 0), (0.4, 6, 5), (None, 2, 0)):
-        settings = replace(longer, until_goal_ratio=threshold, patience=patience)
-        assert training.resume(settings, ended).held == held, threshold
+        stop = StopSettings(9, threshold, patience)
+        found = training.resume(replace(longer, stop=stop), ended)
+        assert found.iteration == 6 and found.patience_count == held, threshold
     before = (ended / "config.json").read_bytes()
     for threshold, patience in ((0.9, 3), (0.5, 1)):
-        settings = replace(longer, until_goal_ratio=threshold, patience=patience)
+        settings = override(longer, until_goal_ratio=threshold, patience=patience)
         with pytest.raises(pecjax.InputError, match=rf"already finished .* {threshold}; .*--patience"):
             training.resume(settings, ended)
     assert (ended / "config.json").read_bytes() == before
     # What was written after the newest checkpoint belongs to no streak.
     with (ended / "metrics.csv").open("a") as file:
         file.write((ended / "metrics.csv").read_text().splitlines()[-1].replace("6,", "7,", 1) + "\n")
-    assert training.resume(replace(longer, until_goal_ratio=0.96), ended).held == 2
+    assert training.resume(override(longer, until_goal_ratio=0.96), ended).patience_count == 2
 
 
 @pytest.mark.parametrize("damage", ["empty", "a cut header", "an empty header"])
@@ -316,7 +425,7 @@ def test_a_table_without_a_whole_header_counts_as_absent(damage, ended, capsys):
     path = ended / "metrics.csv"
     text = path.read_text()
     path.write_text({"empty": "", "a cut header": text[:30], "an empty header": "\n" + text}[damage])
-    training.resume(replace(PPO, iterations=9, until_goal_ratio=0.5), ended)
+    training.resume(override(PPO, iterations=9, until_goal_ratio=0.5), ended)
     assert "metrics.csv: had no whole first line; begins again after iteration 6" in capsys.readouterr().err
     RunDirectory(ended).append("metrics.csv", [{"iteration": 7, "goal_ratio": 0.5}])
     assert pd.read_csv(path).to_dict("list") == {"iteration": [7], "goal_ratio": [0.5]}
@@ -329,11 +438,14 @@ def test_a_resumed_run_keeps_what_it_began_with_and_lists_its_sessions(ended, mo
     assert datetime.fromisoformat(first["started"]).utcoffset() == timedelta(0)
     facts = {name: began[name] for name in ("versions", "machine", "devices", "git_commit")}
     assert facts.items() <= first.items()
+    assert began["files"] == ["scene.xml", "coordinates.csv"]
     monkeypatch.setattr(provenance, "git_commit", lambda: "f00df00d")
-    training.resume(replace(PPO, iterations=9), ended)
-    training.resume(replace(PPO, iterations=12), ended, devices=2)
+    training.resume(override(PPO, iterations=9), ended)
+    training.resume(override(PPO, iterations=12), ended, devices=2)
     now = json.loads((ended / "config.json").read_text())
-    assert facts.items() <= now.items() and now["settings"]["iterations"] == 12
+    assert facts.items() <= now.items() and now["files"] == began["files"]
+    assert now["settings"]["task"] == began["settings"]["task"]  # by the names that they were given with
+    assert now["settings"]["stop"]["iterations"] == 12
     assert now["sessions"][0] == first
     rest = [(s["from_iteration"], s["git_commit"], s["devices"]["used"]) for s in now["sessions"][1:]]
     assert rest == [(6, "f00df00d", 1), (6, "f00df00d", 2)]
@@ -345,33 +457,32 @@ def test_a_run_of_an_older_version_gets_its_sessions(ended):
     del began["sessions"]
     (ended / "config.json").write_text(json.dumps(began))
     assert RunDirectory(ended).settings() == PPO and RunDirectory(ended).num_devices() == 1
-    training.resume(replace(PPO, iterations=9), ended)
+    training.resume(override(PPO, iterations=9), ended)
     first, second = json.loads((ended / "config.json").read_text())["sessions"]
-    del began["settings"]
+    del began["settings"], began["files"]
     assert first == {"from_iteration": 0, "started": None} | began
     assert second["from_iteration"] == 6 and second["started"]
 
 
 def test_a_run_that_begins_while_another_looks_at_the_folder_is_left_alone(tmp_path, monkeypatch):
     folder, free = tmp_path / "run", training.check_free
-    scene_path, _, table = training.load_world(PPO)
 
     def look(path):
         free(path)
-        RunDirectory(folder).create(replace(PPO, seed=3), scene_path, table, 1)
+        RunDirectory(folder).create(replace(PPO, seed=3), 1)
 
     monkeypatch.setattr(training, "check_free", look)
     with pytest.raises(pecjax.InputError, match="run: holds another run; give another folder"):
         training.train(PPO, folder, devices=1)
     assert RunDirectory(folder).settings().seed == 3
     with alone(tmp_path / "run"), pytest.raises(pecjax.InputError, match="another process trains here"):
-        RunDirectory(folder).create(PPO, scene_path, table, 1)
+        RunDirectory(folder).create(PPO, 1)
 
 
 def test_tables_of_other_kinds_are_refused_in_one_line(ended):
-    settings = replace(PPO, iterations=9, until_goal_ratio=0.5)
+    settings = override(PPO, iterations=9, until_goal_ratio=0.5)
     (ended / "metrics.csv").write_text("iteration,goal_ratio\n1,0.5\nx,0.5\n2,\n")
-    assert training.resume(settings, ended).held == 0
+    assert training.resume(settings, ended).patience_count == 0
     assert (ended / "metrics.csv").read_text() == "iteration,goal_ratio\n1,0.5\n2,\n"
     (ended / "metrics.csv").write_text("iteration,goal_ratio\n1,high\n")
     with pytest.raises(pecjax.InputError, match=r"metrics.csv: column goal_ratio is damaged"):
@@ -382,7 +493,7 @@ def test_tables_of_other_kinds_are_refused_in_one_line(ended):
 
 
 def test_another_run_is_refused_and_the_difference_named(whole, tmp_path, monkeypatch):
-    other = replace(PPO, sampler=PEC(0.5), seed=3, iterations=9)
+    other = override(PPO, alpha=0.5, seed=3, iterations=9)
     with pytest.raises(pecjax.InputError, match=r"alpha \(0.2 there, 0.5 here\), seed \(0 there, 3 here\)"):
         training.resume(other, whole(PPO, 1))
     # A checkpoint that was put into the folder of another run, or into another map.
@@ -392,12 +503,12 @@ def test_another_run_is_refused_and_the_difference_named(whole, tmp_path, monkey
         text = (folder / name).read_bytes()
         old = b'"alpha": 0.2' if name == "config.json" else b"<mujoco "
         (folder / name).write_bytes(text.replace(old, content, 1))
-        settings = replace(RunDirectory(folder).settings(), iterations=9)
+        settings = override(RunDirectory(folder).settings(), iterations=9)
         with pytest.raises(pecjax.InputError, match="alpha" if name == "config.json" else "scene.xml"):
             training.resume(settings, folder)
     monkeypatch.setattr("importlib.metadata.version", lambda _: "0.0.1")
     with pytest.raises(pecjax.InputError, match=r"version \('.*' there, '0.0.1' here\)"):
-        training.resume(replace(PPO, iterations=9), whole(PPO, 1))
+        training.resume(override(PPO, iterations=9), whole(PPO, 1))
 
 
 def test_a_state_of_other_shapes_is_refused(tmp_path):
@@ -420,7 +531,7 @@ def test_a_state_of_other_shapes_is_refused(tmp_path):
 def test_two_trainings_cannot_share_a_folder(whole):
     folder = whole(PPO, 1)
     with alone(folder), pytest.raises(pecjax.InputError, match="another process trains here"):
-        training.resume(replace(PPO, iterations=9), folder)
+        training.resume(override(PPO, iterations=9), folder)
     with alone(folder):
         pass  # and is free again
 
@@ -435,23 +546,23 @@ def test_a_disk_that_fills_up_is_said_in_one_line_and_nothing_is_lost(room, whol
     settings = replace(PPO, configurations_every=1)
     reference = whole(settings, 1)
     try:
-        RunDirectory(folder).create(settings, training.load_world(settings)[0], pecjax.COORDINATE_SET_1, 1)
+        RunDirectory(folder).create(settings, 1)
         resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))  # no file may grow beyond it
         with pytest.raises(pecjax.InputError, match=r"cannot be written .* --resume") as training_error:
-            training._go(settings, RunDirectory(folder), 1, resumed=False)
+            training._go(settings, RunDirectory(folder), 1, (), is_resumed=False)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert "\n" not in str(training_error.value)
     try:
         training.resume(settings, folder)
     except pecjax.InputError as error:
-        assert "no state to go on from" in str(error) and not list(folder.glob("states/[0-9]*"))
+        assert "no state to resume from" in str(error) and not list(folder.glob("states/[0-9]*"))
     else:
         assert_same_run(reference, folder)
 
 
 def test_figures_that_are_not_finite_stop_the_run(tmp_path):
-    settings = replace(PPO, ppo=replace(PPO.ppo, learning_rate=1e30))
+    settings = replace(PPO, agent=replace(PPO.agent, learning_rate=1e30))
     with pytest.raises(DivergedError, match=r"at iteration \d+ not finite: .*parameters.*checkpoint"):
         training.train(settings, tmp_path / "run", devices=2)
     for path in (tmp_path / "run").rglob("*.npz"):
@@ -460,7 +571,7 @@ def test_figures_that_are_not_finite_stop_the_run(tmp_path):
 
 
 def test_options_beside_resume(whole):
-    settings = presets.override(RunDirectory(whole(PPO, 1)).settings(), alpha=0.2)
+    settings = override(RunDirectory(whole(PPO, 1)).settings(), alpha=0.2, agent="ppo", task="rooms")
     assert settings == PPO
 
 

@@ -9,7 +9,7 @@ import pytest
 import rlax
 from scipy.signal import lfilter
 
-from pecjax.agents.returns import generalized_advantage, n_step_return
+from pecjax.agents.returns import generalized_advantage, n_step_return, with_bootstrap
 
 STEPS, ENVS = 37, 5
 
@@ -52,7 +52,7 @@ def test_equals_the_filter_of_rllib_where_nothing_ends():
 
 
 def test_an_ending_pays_its_reward_and_nothing_after_it():
-    """The step limit is a done like any other: no value is bootstrapped over it."""
+    """A task's own step limit is an ending like any other: no value is bootstrapped over it."""
     rewards, values, dones = batch(seed=3, done_ratio=0.0)
     dones[10] = 1
     before = generalized_advantage(rewards, values[:-1], dones, values[-1], 0.99, 0.95)
@@ -66,23 +66,94 @@ def test_an_ending_pays_its_reward_and_nothing_after_it():
     assert np.all(before[11:] != after[11:])
 
 
-def test_the_step_limit_of_the_environment_is_such_an_ending(env):
-    """One step before the limit, in the open, standing still: done, and a failure."""
-    config = type(env.configurations)(*(jnp.asarray(leaf)[0] for leaf in env.configurations))
-    state = env.place(config, jnp.zeros(()))
-    counted = state.pipeline_state._replace(step_count=jnp.int32(env.settings.max_steps - 1))
-    last = jax.jit(env.advance)(state.replace(pipeline_state=counted), jnp.int32(2))
-    assert (last.done, last.metrics["timeout"], last.metrics["goal"]) == (1, 1, 0)
+def test_the_step_limit_of_the_rooms_is_such_an_ending(env):
+    """One step before the limit, in the open, standing still: terminated, and a failure."""
+    config = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], env.configurations)
+    state = env.task.place(config, jnp.zeros(()))
+    counted = state._replace(step_count=jnp.int32(env.task.settings.max_steps - 1))
+    last = jax.jit(env.task.step)(jax.random.key(0), counted, jnp.int32(2), env.params)
+    assert (last.terminated, last.truncated, last.metrics["timeout"], last.success) == (1, 0, 1, 0)
     value = np.float32(123.0)
     advantage = generalized_advantage(
         last.reward[None, None],
         jnp.full((1, 1), value),
-        last.done[None, None],
+        jnp.float32(last.terminated | last.truncated)[None, None],
         jnp.full(1, 1e6),  # would show if it were bootstrapped
         0.99,
         0.95,
     )
     np.testing.assert_allclose(advantage[0, 0], -1001 - value)
+
+
+def cut_batch(seed: int, done_ratio: float = 0.2):
+    """rewards, values, dones, and the values `bootstrap` beyond those endings that are cuts."""
+    rewards, values, dones = batch(seed, done_ratio)
+    draw = np.random.default_rng(seed + 100)
+    cut = (dones == 1) & (draw.random(dones.shape) < 0.5)
+    bootstrap = np.where(cut, draw.normal(0, 50, dones.shape), 0).astype(np.float32)
+    assert cut.sum() > 5 and (dones - cut).sum() > 5
+    return rewards, values, dones, bootstrap
+
+
+def episode_by_episode(rewards, values, dones, bootstrap, discount, gae_lambda):
+    """rlax's estimates of each episode by itself, its last value being what lies beyond its end."""
+    result = np.zeros_like(rewards)
+    for env in range(rewards.shape[1]):
+        ends = [*np.flatnonzero(dones[:, env]), len(rewards) - 1]
+        first = 0
+        for end in ends:
+            part = slice(first, end + 1)
+            steps, first = end + 1 - first, end + 1
+            if steps == 0:  # the last step was an ending
+                continue
+            beyond = bootstrap[end, env] if dones[end, env] else values[-1, env]
+            result[part, env] = rlax.truncated_generalized_advantage_estimation(
+                jnp.asarray(rewards[part, env]),
+                jnp.full(steps, discount),
+                gae_lambda,
+                jnp.append(values[part, env], beyond),
+            )
+    return result
+
+
+@pytest.mark.parametrize(("discount", "gae_lambda"), [(0.99, 0.95), (0.9, 1.0), (0.99, 0.0)])
+def test_an_episode_that_is_cut_off_goes_on_in_the_value_beyond_the_cut(discount, gae_lambda):
+    rewards, values, dones, bootstrap = cut_batch(seed=4)
+    ours = generalized_advantage(
+        with_bootstrap(rewards, bootstrap, discount), values[:-1], dones, values[-1], discount, gae_lambda
+    )
+    theirs = episode_by_episode(rewards, values, dones, bootstrap, discount, gae_lambda)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-3)
+    # What is bootstrapped matters, and within its own episode alone.
+    without = generalized_advantage(rewards, values[:-1], dones, values[-1], discount, gae_lambda)
+    differ = np.abs(ours - without) > 1e-2
+    assert (differ[bootstrap != 0]).all()
+    assert not differ[(dones == 1) & (bootstrap == 0)].any()
+
+
+def test_nothing_is_added_where_a_task_never_cuts_off():
+    rewards, _, _ = batch(seed=6, done_ratio=0.2)
+    assert with_bootstrap(rewards, None, 0.9) is rewards
+    np.testing.assert_array_equal(with_bootstrap(rewards, np.zeros_like(rewards), 0.9), rewards)
+
+
+@pytest.mark.parametrize("number", [1, 3, 5])
+def test_n_step_returns_end_in_the_value_beyond_a_cut(number):
+    rewards, values, dones, bootstrap = cut_batch(seed=7)
+    total, going_on = n_step_return(with_bootstrap(rewards, bootstrap, 0.9), dones, number, 0.9)
+    ours = total + going_on * values[number:]
+    for start in range(STEPS - number + 1):
+        for env in range(ENVS):
+            expected, factor = 0.0, 1.0
+            for t in range(start, start + number):
+                expected += factor * np.float64(rewards[t, env])
+                factor *= 0.9
+                if dones[t, env]:
+                    expected += factor * np.float64(bootstrap[t, env])
+                    break
+            else:
+                expected += factor * values[start + number, env]
+            np.testing.assert_allclose(ours[start, env], expected, rtol=1e-5, atol=1e-3)
 
 
 @pytest.mark.parametrize("number", [1, 3, 5])

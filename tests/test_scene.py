@@ -6,8 +6,8 @@ from jax import numpy as jnp
 import pecjax
 from pecjax.envs.rooms.clearance import wall_distance
 from pecjax.envs.rooms.flight import hover, physics_step
-from pecjax.envs.rooms.mjcf_file import read_mjcf
 from pecjax.envs.rooms.map_file import ENDLESS
+from pecjax.envs.rooms.mjcf_file import read_mjcf
 
 CAMERA = (
     '<camera name="depth" pos="0.1 0 0" xyaxes="0 -1 0 0 0 1" fovy="73.7398" resolution="16 12"/>',
@@ -250,6 +250,17 @@ BAD_MAPS = {
     "a child of the drone collides": (
         [('<camera name="depth"', '<body><geom size="0.3" mass="0"/></body><camera name="depth"')],
         "the drone must be one body",
+    ),
+    "a tendon holds the drone": (
+        [
+            ("</worldbody>", '<site name="hook" pos="0 0 2"/></worldbody>'),
+            (
+                "<actuator>",
+                '<tendon><spatial stiffness="9"><site site="hook"/><site site="rotor_1"/></spatial></tendon>'
+                "<actuator>",
+            ),
+        ],
+        "a tendon has stiffness, and nothing may hold the drone",
     ),
     "rotors too weak": ([('ctrlrange="0 8"', 'ctrlrange="0 3"')], "weight of 14.5 N"),
     "rotors without limits": ([('ctrlrange="0 8"', "")], "ctrlrange"),

@@ -12,31 +12,21 @@ from pecjax.commands.study import Study
 from pecjax.commands.train import Train
 from pecjax.training import presets
 
-OF_TRAIN = {
-    "preset",
-    "algorithm",
-    "coordinates",
-    "scene",
-    "seed",
-    "iterations",
-    "until_goal_ratio",
-    "patience",
-}
+OF_TRAIN = {"preset", "seed"}
 
 
-def settable(algorithm):
-    """The paths that have no option of their own, with their values."""
-    other = {"ppo": "apex.", "apex": "ppo."}[algorithm]
+def settable(agent):
+    """The paths that have no option of their own only, with their values."""
     return {
         path: value
-        for path, value in settings_tree.leaves(presets.find_preset(algorithm=algorithm))
-        if path not in OF_TRAIN and not path.startswith(other)
+        for path, value in settings_tree.leaves(presets.find_preset(agent=agent))
+        if path not in OF_TRAIN
     }
 
 
-def another(algorithm, path, value):
+def another(agent, path, value):
     """Some other value that the leaf may have."""
-    tree = presets.find_preset(algorithm=algorithm)
+    tree = presets.find_preset(agent=agent)
     *parents, name = path.split(".")
     for parent in parents:
         tree = getattr(tree, parent)
@@ -44,9 +34,9 @@ def another(algorithm, path, value):
     if isinstance(value, bool):
         return not value
     if isinstance(value, str):
-        return next(choice for choice in choices if choice != value)
+        return next((choice for choice in choices if choice != value), "other.csv")
     if isinstance(value, tuple):
-        return (*value, 7)
+        return (*value, "other.xml" if str in choices else 7)
     if value is None:
         return (20, 10) if name == "resolution" else 3
     return value + 1
@@ -60,25 +50,34 @@ def words_for(path, value):
     return [option, *map(str, value if isinstance(value, tuple) else (value,))]
 
 
-CASES = [(algorithm, path) for algorithm in ("ppo", "apex") for path in settable(algorithm)]
+CASES = [(agent, path) for agent in ("ppo", "apex") for path in settable(agent)]
 
 
-@pytest.mark.parametrize(("algorithm", "path"), CASES, ids=lambda case: case)
-def test_every_leaf_can_be_set(algorithm, path):
+def test_the_cases_are_of_the_whole_tree():
+    of_both = {path for _, path in CASES}
+    assert {
+        "task.table", "task.maps", "task.resolution", "task.goal_radius", "task.gains.turn_feed_forward",
+        "sampler.alpha", "agent.network.hidden", "agent.replay.capacity", "evaluation.greedy",
+        "stop.until_goal_ratio", "configurations_every",
+    } <= of_both  # fmt: skip
+
+
+@pytest.mark.parametrize(("agent", "path"), CASES, ids=lambda case: case)
+def test_every_leaf_can_be_set(agent, path):
     """As `set_path` does, which is tested by itself."""
-    value = another(algorithm, path, settable(algorithm)[path])
+    value = another(agent, path, settable(agent)[path])
     kept, settings = settings_args.split(
         ["train", "--seed", "3", *words_for(path, value), "--out", "x"], Train
     )
     assert kept == ["train", "--seed", "3", "--out", "x"]
-    base = presets.find_preset(algorithm=algorithm)
+    base = presets.find_preset(agent=agent)
     found = settings_args.apply(base, settings, Train)
     assert found == settings_tree.set_path(base, path, value) != base
 
 
 def test_none_can_be_said(monkeypatch):
-    found = run_with(monkeypatch, "--ppo.max-grad-norm", "none", "--ppo.kl-coeff", "0.2")
-    assert found.ppo.max_grad_norm is None and found.ppo.kl_coeff == 0.2
+    found = run_with(monkeypatch, "--agent.max-grad-norm", "none", "--agent.kl-coeff", "0.2")
+    assert found.agent.max_grad_norm is None and found.agent.kl_coeff == 0.2
 
 
 def run_with(monkeypatch, *words):
@@ -100,16 +99,21 @@ def run_with(monkeypatch, *words):
 
 def test_paths_and_options_of_the_command_go_together(monkeypatch):
     found = run_with(
-        monkeypatch, "--preset", "rllib085", "--sampler.alpha", "0.7", "--ppo.network.hidden", "8", "9",
-        "--evaluate-every=7", "--num-envs", "50", "--no-greedy",
+        monkeypatch, "--preset", "rllib085", "--sampler.alpha", "0.7", "--agent.network.hidden", "8", "9",
+        "--evaluation.every=7", "--num-envs", "50", "--evaluation.no-greedy", "--iterations", "9",
+        "--scene", "a.xml", "more", "--task.resolution", "20", "10", "--configurations-every", "3",
     )  # fmt: skip
     wanted = presets.find_preset("rllib085")
     for path, value in (
         ("sampler.alpha", 0.7),
-        ("ppo.network.hidden", (8, 9)),
-        ("evaluate_every", 7),
-        ("ppo.num_envs", 50),
-        ("greedy", False),
+        ("agent.network.hidden", (8, 9)),
+        ("evaluation.every", 7),
+        ("agent.num_envs", 50),
+        ("evaluation.greedy", False),
+        ("stop.iterations", 9),
+        ("task.maps", ("a.xml", "more")),
+        ("task.resolution", (20, 10)),
+        ("configurations_every", 3),
     ):
         wanted = settings_tree.set_path(wanted, path, value)
     assert found == wanted
@@ -121,22 +125,37 @@ def test_the_numbers_are_those_of_the_sampler_that_is_named(monkeypatch):
     assert settings_tree.to_json(found)["sampler"] == {"kind": named, "floor": 0.3, "power": 1.0}
 
 
+def test_the_numbers_are_those_of_the_agent_and_the_task_that_are_named(monkeypatch):
+    own = ["test_settings_tree:Patient", "test_settings_tree:WindyRooms"]
+    found = run_with(
+        monkeypatch, "--agent", own[0], "--task", own[1], "--agent.patience", "7", "--task.wind", "5"
+    )
+    content = settings_tree.to_json(found)
+    assert [content[slot]["kind"] for slot in ("agent", "task")] == own
+    assert found.agent.patience == 7 and found.task.wind == 5.0
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (["train", "--sampler.alhpa", "1"], "unknown option --sampler.alhpa (did you mean --sampler.alpha?)"),
         (["train", "--sampler", "uniform", "--sampler.alpha", "1"], "unknown option --sampler.alpha"),
-        (["train", "--ppo.shuffle", "stps"], "invalid choice 'stps' for argument '--ppo.shuffle'"),
-        (["train", "--ppo.num-envs", "many"], "--ppo.num-envs takes a whole number, not 'many'"),
-        (["train", "--ppo.clip", "much"], "--ppo.clip takes a number, not 'much'"),
-        (["train", "--ppo.clip"], "Missing value for argument '--ppo.clip'"),
-        (["train", "--apex.batch-size", "8"], "unknown option --apex.batch-size"),
-        (["train", "--ppo.num-minibatches", "5"], "5 minibatches do not divide 32 steps"),
+        (["train", "--agent.shuffle", "stps"], "invalid choice 'stps' for argument '--agent.shuffle'"),
+        (["train", "--agent.num-envs", "many"], "--agent.num-envs takes a whole number, not 'many'"),
+        (["train", "--agent.clip-epsilon", "much"], "--agent.clip-epsilon takes a number, not 'much'"),
+        (["train", "--agent.clip-epsilon"], "Missing value for argument '--agent.clip-epsilon'"),
+        (["train", "--agent.batch-size", "8"], "unknown option --agent.batch-size"),
+        (["train", "--agent", "apex", "--agent.clip-epsilon", "1"], "unknown option --agent.clip-epsilon"),
+        (["train", "--ppo.clip", "0.1"], "unknown option --ppo.clip"),
+        (["train", "--task.goal-radus", "1"], "(did you mean --task.goal-radius?)"),
+        (["train", "--task.resolution", "20"], "--task.resolution"),
+        (["train", "--agent.num-minibatches", "5"], "5 minibatches do not divide 32 steps"),
         (["train", "--sampler.alpha", "-1"], "alpha is -1"),
-        (["train", "--ppo.clip", "nan"], "clip is nan"),
+        (["train", "--agent.clip-epsilon", "nan"], "clip-epsilon is nan"),
+        (["train", "--stop.iterations", "0"], "iterations is 0"),
         (["study", "--sampler.alpha", "1"], "a study tries its samplers' numbers; give --samplers"),
         (["study", "--sampler", "pec"], "unknown option --sampler (did you mean --samplers?)"),
-        (["study", "fig4", "--ppo.num-minibatches", "5"], "5 minibatches do not divide 32 steps"),
+        (["study", "fig4", "--agent.num-minibatches", "5"], "5 minibatches do not divide 32 steps"),
     ],
 )
 def test_what_is_wrong_gets_one_line_and_leaves_nothing(words, said, tmp_path, monkeypatch, capsys):
@@ -150,10 +169,10 @@ def test_what_is_wrong_gets_one_line_and_leaves_nothing(words, said, tmp_path, m
 
 
 def test_a_study_shares_them_among_its_runs(tmp_path):
-    command = cli.parse(["study", "fig4", "--ppo.learning-rate", "0.5", "--evaluation-episodes", "9"])
+    command = cli.parse(["study", "fig4", "--agent.learning-rate", "0.5", "--evaluation.episodes", "9"])
     assert isinstance(command, Study)
     run = command._settings(tmp_path).run
-    assert run.ppo.learning_rate == 0.5 and run.evaluation_episodes == 9
+    assert run.agent.learning_rate == 0.5 and run.evaluation.episodes == 9
 
 
 @pytest.mark.parametrize("command", ["train", "study"])

@@ -8,9 +8,14 @@ import pytest
 from jax import numpy as jnp
 
 from pecjax import InputError, settings_tree
+from pecjax.agents import PPO, AgentSettings, Apex
 from pecjax.curriculum import PEC, SamplerSettings, Uniform, from_counts
-from pecjax.training.presets import PRESETS, RunSettings
-from pecjax.training.samplers import has_alpha, make_sampler, sampler_label
+from pecjax.envs.rooms.flight import ControllerGains
+from pecjax.envs.rooms.settings import Rooms
+from pecjax.envs.task import TaskSettings
+from pecjax.training.kinds import has_alpha, kind_name, label, make_kind, sampler_label
+from pecjax.training.presets import PRESETS
+from pecjax.training.settings import RunSettings
 
 CURRICULUM = "pecjax.curriculum"
 
@@ -41,11 +46,24 @@ class Demanding(SamplerSettings):
         raise AssertionError
 
 
+@dataclass(frozen=True)
+class WindyRooms(Rooms):
+    wind: float = 2.0
+
+
+@dataclass(frozen=True)
+class Patient(PPO):
+    patience: int = 3
+
+
 OWN = f"{__name__}:Learnability"
 RUNS = {
     **PRESETS,
     "own": RunSettings(sampler=Learnability(floor=0.1)),
-    "uniform": RunSettings(sampler=Uniform(), resolution=(20, 10)),
+    "uniform": RunSettings(sampler=Uniform(), task=Rooms(resolution=(20, 10), maps=("a.xml", "b"))),
+    "own kinds of all": RunSettings(
+        task=WindyRooms(wind=3.0, gains=ControllerGains(height=2.0)), sampler=Learnability(), agent=Patient()
+    ),
 }
 
 
@@ -59,7 +77,10 @@ def test_a_tree_reads_back_from_json_as_it_was(name):
 def test_json_has_every_leaf_and_the_address_of_a_kind():
     content = settings_tree.to_json(RUNS["own"])
     assert content["sampler"] == {"kind": OWN, "floor": 0.1, "power": 1.0}
-    assert "kind" not in content["ppo"]  # which can be of one kind only
+    assert content["agent"]["kind"] == "pecjax.agents.ppo.settings:PPO"
+    assert content["task"]["kind"] == "pecjax.envs.rooms.settings:Rooms"
+    for part in (content["agent"]["network"], content["task"]["gains"], content["stop"]):
+        assert "kind" not in part  # which can be of one kind only
     for path, value in settings_tree.leaves(RUNS["own"]):
         found = content
         for name in path.split("."):
@@ -72,6 +93,9 @@ def test_differences_have_paths_and_both_values():
     now = settings_tree.to_json(replace(RUNS["own"], sampler=Learnability(floor=0.2), seed=4))
     found = list(settings_tree.differences(before, now))
     assert found == ["sampler.floor (0.1 there, 0.2 here)", "seed (0 there, 4 here)"]
+    # Whatever a stranger's file holds, a difference can be read.
+    (found,) = settings_tree.differences({"seed": "7" * 10**6}, {"seed": 7})
+    assert found.startswith("seed ('777") and found.endswith("… there, 7 here)") and len(found) < 200
 
 
 @pytest.mark.parametrize(
@@ -80,10 +104,13 @@ def test_differences_have_paths_and_both_values():
         ("seed", 3, 3),
         ("sampler.alpha", 0.3, 0.3),
         ("sampler.alpha", "0.3", 0.3),  # as a command line has it
-        ("ppo.network.hidden", [8, 8], (8, 8)),
-        ("until_goal_ratio", 0.9, 0.9),
-        ("until_goal_ratio", None, None),
-        ("greedy", "false", False),
+        ("agent.network.hidden", [8, 8], (8, 8)),
+        ("stop.until_goal_ratio", 0.9, 0.9),
+        ("stop.until_goal_ratio", None, None),
+        ("evaluation.greedy", "false", False),
+        ("task.resolution", [20, 10], (20, 10)),
+        ("task.maps", ["a.xml"], ("a.xml",)),
+        ("task.goal_radius", 1, 1.0),
         ("seed", 3.0, 3),
     ],
 )
@@ -100,11 +127,13 @@ def test_any_leaf_can_be_set_and_nothing_else_changes(path, value, found):
         ("sedd", 1, r"no setting sedd \(did you mean seed\?\)"),
         ("seed.more", 1, "no setting seed.more; of int it has no settings"),
         ("sampler.alpha", "much", "sampler.alpha is 'much'; it takes float"),
-        ("ppo.num_envs", "many", "ppo.num_envs is 'many'; it takes int"),
-        ("ppo.num_envs", 1.5, "ppo.num_envs is 1.5; it takes int"),
-        ("greedy", "no", "greedy is 'no'; it takes bool"),
-        ("ppo.network.hidden", "64", r"ppo.network.hidden is '64'; it takes tuple"),
-        ("resolution", "20", "resolution is '20'; it takes tuple"),
+        ("agent.num_envs", "many", "agent.num_envs is 'many'; it takes int"),
+        ("agent.num_envs", 1.5, "agent.num_envs is 1.5; it takes int"),
+        ("evaluation.greedy", "no", "evaluation.greedy is 'no'; it takes bool"),
+        ("agent.network.hidden", "64", r"agent.network.hidden is '64'; it takes tuple"),
+        ("task.resolution", "20", "task.resolution is '20'; it takes tuple"),
+        ("agent.replay.capacity", 1, "no setting agent.replay.capacity; of PPO there are num_envs"),
+        ("task.goal_radus", 1, r"no setting task.goal_radus \(did you mean goal_radius\?\); of Rooms"),
     ],
 )
 def test_paths_that_lead_nowhere_and_values_of_another_type(path, value, words):
@@ -126,6 +155,14 @@ def test_kinds_by_module_by_address_and_by_entry_point(monkeypatch):
     assert resolve("learnability", SamplerSettings, CURRICULUM) is Learnability
     assert settings_tree.short_name(PEC, CURRICULUM) == "pec"
     assert settings_tree.short_name(Learnability, CURRICULUM) == OWN
+    # A package within the package is a kind's module too.
+    assert resolve("ppo", AgentSettings, "pecjax.agents") is PPO
+    assert resolve("apex", AgentSettings, "pecjax.agents") is Apex
+    assert resolve("rooms", TaskSettings, "pecjax.envs") is Rooms
+    found = [kind_name(value) for value in (PPO(), Apex(), Rooms(), PEC(), Patient(), WindyRooms())]
+    own = [f"{__name__}:Patient", f"{__name__}:WindyRooms"]
+    assert found == ["ppo", "apex", "rooms", "pec", *own]
+    assert [type(make_kind(*pair)) for pair in (("agent", own[0]), ("task", own[1]))] == [Patient, WindyRooms]
 
 
 @pytest.mark.parametrize(
@@ -147,15 +184,30 @@ def test_kinds_by_module_by_address_and_by_entry_point(monkeypatch):
 )
 def test_samplers_that_cannot_be_had(name, words):
     with pytest.raises(InputError, match=words) as error:
-        make_sampler(name)
+        make_kind("sampler", name)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("slot", "name", "words"),
+    [
+        ("agent", "pp", r"unknown agent 'pp' \(did you mean ppo\?\); choose one of apex, ppo, or .*:Class"),
+        ("agent", "base", "unknown agent 'base'"),
+        ("agent", OWN, "is no AgentSettings"),
+        ("task", "room", r"unknown task 'room' \(did you mean rooms\?\); choose one of .*rooms"),
+        ("task", "pecjax.agents:PPO", "is no TaskSettings"),
+    ],
+)
+def test_agents_and_tasks_that_cannot_be_had(slot, name, words):
+    with pytest.raises(InputError, match=words):
+        make_kind(slot, name)
 
 
 def test_a_module_that_fails_when_it_is_imported(tmp_path, monkeypatch):
     (tmp_path / "failing.py").write_text("1 / 0\n")
     monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path)])
     with pytest.raises(InputError, match=r"failing:Sampler: cannot be imported \(ZeroDivisionError"):
-        make_sampler("failing:Sampler")
+        make_kind("sampler", "failing:Sampler")
 
 
 @pytest.mark.parametrize(
@@ -173,7 +225,10 @@ def test_json_that_names_what_cannot_be_had(sampler, words):
 
 
 def test_a_sampler_keeps_its_numbers_when_it_is_named_again():
-    assert make_sampler("pec", like=PEC(0.7)) == PEC(0.7)
-    assert make_sampler("pec", like=Uniform()) == PEC()
+    assert make_kind("sampler", "pec", like=PEC(0.7)) == PEC(0.7)
+    assert make_kind("sampler", "pec", like=Uniform()) == PEC()
     assert sampler_label(PEC(1.0)) == "pec (α = 1)" and sampler_label(Uniform()) == "uniform"
     assert has_alpha(PEC()) and not has_alpha(Learnability())
+    # Of a path and of an address, people are shown the end.
+    assert sampler_label(Learnability(floor=0.125)) == "Learnability (floor = 0.125, power = 1)"
+    assert label("pec", [("sampler.alpha", 0.5), ("agent.num_envs", 8)]) == ["pec", "α = 0.5", "num_envs = 8"]

@@ -15,24 +15,31 @@ import pytest
 
 import pecjax
 from pecjax.commands.study import Study
-from pecjax.curriculum import PEC
+from pecjax.curriculum import PEC, pec
 from pecjax.errors import DivergedError, StoppedError
 from pecjax.plotting import study as study_figures
 from pecjax.runtime import provenance
 from pecjax.storage.files import alone
-from pecjax.studies import directory as study_directory, report as study_report
+from pecjax.studies import directory as study_directory, report as study_report, run as study_run
 from pecjax.studies.catalogue import SCALES, STUDIES, find_study
 from pecjax.studies.directory import StudyDirectory
-from pecjax.studies.grid import RunSpec, StudySettings
-from pecjax.studies.run import _Rows, run_study
+from pecjax.studies.grid import RunSpec, StudySettings, fixed
+from pecjax.studies.run import run_study
 from pecjax.training import train as training
-from pecjax.training.build import make_agent
-from pecjax.training.program import make_program
-from pecjax.training.progress import Progress
+from pecjax.training.evaluation import stratified_config_ids
+from pecjax.training.program import several_runs
+from pecjax.training.run_directory import RunDirectory
+from pecjax.training.settings import StopSettings, override
+from pecjax.training.sinks import Progress
 
 SMOKE = find_study("fig4", "smoke").run
-TINY = replace(SMOKE, ppo=replace(SMOKE.ppo, num_steps=64), iterations=3, evaluation_episodes=7)
-TABLES = ("results", "metrics", "configurations")
+TINY = replace(
+    SMOKE,
+    agent=replace(SMOKE.agent, num_steps=64),
+    stop=StopSettings(iterations=3),
+    evaluation=replace(SMOKE.evaluation, episodes=7),
+)
+TABLES = ("results", "metrics")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -48,10 +55,14 @@ def near_goals(folders):
     return str(path)
 
 
+def grid_of(coordinates, samplers=("pec", "uniform"), alphas=(0.0, 3.0)):
+    return (("task.table", (coordinates,)), ("sampler", samplers), ("sampler.alpha", alphas))
+
+
 @pytest.fixture(scope="module")
 def settings(near_goals):
-    run = replace(TINY, coordinates=near_goals)
-    return StudySettings("tiny", run, alphas=(0.0, 3.0), coordinates=(near_goals,), seeds=(4, 7))
+    run = override(TINY, coordinates=near_goals)
+    return StudySettings("tiny", run, grid_of(near_goals), seeds=(4, 7))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -59,13 +70,13 @@ def programs_once():
     """Each program is compiled once for all tests: a run's settings and their number name it."""
     made = {}
 
-    def make_once(run, scene, table, runs):
+    def make_once(run, task, world, runs):
         if (run, runs) not in made:
-            made[run, runs] = make_program(run, scene, table, runs)
+            made[run, runs] = several_runs(run, task, world, runs)
         return made[run, runs]
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("pecjax.studies.run.make_program", make_once)
+        patched.setattr(study_run, "several_runs", make_once)
         yield
 
 
@@ -75,8 +86,19 @@ def study(folders, settings):
     return folders / "study"
 
 
+def counted(folder):
+    """The arrays of all configurations, slice by slice."""
+    paths = sorted(folder.glob("slices/[0-9][0-9][0-9][0-9]/configurations.npz"))
+    return [dict(np.load(path)) for path in paths]
+
+
 def digests(folder):
-    return {name: hashlib.sha256((folder / f"{name}.csv").read_bytes()).hexdigest() for name in TABLES}
+    tables = [folder / f"{name}.csv" for name in TABLES]
+    arrays = sorted(folder.glob("slices/[0-9][0-9][0-9][0-9]/configurations.npz"))
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in (*tables, *arrays)
+    }
 
 
 @pytest.mark.parametrize("name", STUDIES)
@@ -89,7 +111,7 @@ def test_the_papers_studies_can_be_run_and_cover_their_grids(name, scale):
     assert len(flown) == len(set(flown)) == sum(map(len, study.groups()))
     for part in study.slices():
         assert 1 <= len(part) <= study.at_once
-        assert len({(member.coordinates, member.sampler) for member in part}) == 1
+        assert len({fixed(member.values) for member in part}) == 1
     # Whatever is finished first can be paired: low seeds come first.
     firsts = [part[0].seed for part in study.slices()]
     assert firsts == sorted(firsts)
@@ -97,23 +119,25 @@ def test_the_papers_studies_can_be_run_and_cover_their_grids(name, scale):
 
 def test_the_grid_of_each_of_the_papers_studies():
     fig4, fig8 = find_study("fig4"), find_study("fig8")
-    assert set(fig4.samplers) == set(fig8.samplers) == {"pec", "uniform"}
-    assert (fig4.coordinates, fig8.coordinates) == (("1",), ("2",))
-    assert len(fig4.seeds) >= 10 and len(fig8.seeds) >= 10
+    for study, coordinates in ((fig4, "1"), (fig8, "2")):
+        assert set(study.values_of("sampler")) == {"pec", "uniform"} and len(study.seeds) >= 10
+        assert study.values_of("task.table") == (coordinates,)
     fig11 = find_study("fig11")
-    assert fig11.alphas == (0.0, 0.1, 0.2, 0.3, 0.4) and len(fig11.groups()[0]) == 25
-    assert find_study("fig14").run.algorithm == "apex" and len(find_study("fig14").seeds) >= 5
+    assert fig11.values_of("sampler.alpha") == (0.0, 0.1, 0.2, 0.3, 0.4) and len(fig11.groups()[0]) == 25
+    fig14 = find_study("fig14")
+    assert isinstance(fig14.run.agent, pecjax.agents.Apex) and len(fig14.seeds) >= 5
     paper = {name: find_study(name, "paper").run for name in STUDIES}
-    assert [run.iterations for run in paper.values()] == [1500, 5000, 1500, 2000]
+    assert [run.stop.iterations for run in paper.values()] == [1500, 5000, 1500, 2000]
     assert [run.preset for run in paper.values()] == ["rllib085"] * 3 + ["apex-rllib085"]
 
 
 def test_alpha_is_of_samplers_that_have_one(settings):
     groups = settings.groups()
-    assert [member.alpha for member in groups[0]] == [0.0, 3.0, 0.0, 3.0]
-    assert [member.alpha for member in groups[1]] == [None, None]
-    assert settings.settings_of(RunSpec("2", "pec", 3.0, 7)) == replace(
-        settings.run, coordinates="2", sampler=PEC(3.0), seed=7
+    assert [dict(member.values)["sampler.alpha"] for member in groups[0]] == [0.0, 3.0, 0.0, 3.0]
+    assert ["sampler.alpha" in dict(member.values) for member in groups[1]] == [False, False]
+    values = (("task.table", "2"), ("sampler", "pec"), ("sampler.alpha", 3.0))
+    assert settings.settings_of(RunSpec(7, values)) == replace(
+        settings.run, task=replace(settings.run.task, table="2"), sampler=PEC(3.0), seed=7
     )
 
 
@@ -121,13 +145,17 @@ def test_alpha_is_of_samplers_that_have_one(settings):
     ("changes", "words"),
     [
         ({"seeds": ()}, "seeds is empty"),
-        ({"alphas": ()}, "alphas is empty"),
-        ({"samplers": ("bandit",)}, "unknown sampler 'bandit'"),
-        ({"alphas": (0.1, -1.0)}, "alpha is -1"),
+        ({"grid": grid_of("1", alphas=())}, "alphas is empty"),
+        ({"grid": grid_of("1", samplers=("bandit",))}, "unknown sampler 'bandit'"),
+        ({"grid": grid_of("1", alphas=(0.1, -1.0))}, "alpha is -1"),
+        ({"grid": (("task.table", ("1", "1")),)}, "coordinates names 1 more than once"),
+        ({"grid": (("task.table", ("a/x.csv", "b/x.csv")),)}, "x.csv, b/x.csv need names that differ"),
+        ({"grid": (("stop.iterations", (3, 4)),)}, "stop.iterations is not of task, sampler or agent"),
+        ({"grid": grid_of("1", samplers=("uniform",))}, "none of uniform has sampler.alpha"),
         ({"seeds": (3, 1, 3)}, "seeds names 3 more than once"),
         ({"seeds": (-3,)}, "seed is -3"),
         ({"at_once": 0}, "at-once is 0"),
-        ({"run": replace(TINY, until_goal_ratio=0.9)}, "until-goal-ratio"),
+        ({"run": override(TINY, until_goal_ratio=0.9)}, "until-goal-ratio"),
     ],
 )
 def test_grids_that_cannot_be_run(changes, words, settings, tmp_path):
@@ -137,17 +165,18 @@ def test_grids_that_cannot_be_run(changes, words, settings, tmp_path):
 
 
 def test_its_tables_have_a_row_for_everything(study, settings):
-    results, metrics, configurations = (pd.read_csv(study / f"{name}.csv") for name in TABLES)
-    assert len(metrics) == 6 * 3 and len(results) == 6 * 2 and len(configurations) == 6 * 2 * 3
+    results, metrics = (pd.read_csv(study / f"{name}.csv") for name in TABLES)
+    assert len(metrics) == 6 * 3 and len(results) == 6 * 2
     assert list(results.columns[:7]) == list(metrics.columns[:7])
     assert list(results.columns[7:]) == [
         "goal_ratio",
-        "training_goal_ratio",
         "cvar",
         "mean_return",
-        "c0",
-        "c1",
-        "c2",
+        "mean_length",
+        "collision",
+        "timeout",
+        "unstable",
+        "training_goal_ratio",
     ]
     assert sorted(set(results.iteration)) == [2, 3] and (results.env_steps == results.iteration * 512).all()
     runs = metrics.fillna({"alpha": -1}).groupby(["sampler", "alpha", "seed"])
@@ -156,46 +185,67 @@ def test_its_tables_have_a_row_for_everything(study, settings):
     )
     for _, run in runs:
         assert run.iteration.tolist() == [1, 2, 3]
-    worst = results[["c0", "c1", "c2"]].min(axis=1)
-    np.testing.assert_allclose(results.cvar, worst, rtol=1e-6)
-    ended = configurations[configurations.iteration == 3].groupby(["sampler", "seed"]).trials.sum()
-    np.testing.assert_array_equal(ended, metrics.groupby(["sampler", "seed"]).episodes.sum())
+    # Of every configuration: what was flown in training, and how its episodes of the evaluation ended.
+    arrays = counted(study)
+    assert [part["iteration"].tolist() for part in arrays] == [[2, 3]] * 3
+    trials, failures, ratios = (
+        np.concatenate([part[name] for part in arrays]) for name in ("trials", "failures", "goal_ratio")
+    )
+    assert trials.shape == failures.shape == ratios.shape == (6, 2, 3)
+    assert (failures <= trials).all() and (trials[:, 0] <= trials[:, 1]).all()
+    np.testing.assert_allclose(results.cvar, ratios.min(axis=-1).ravel(), rtol=1e-6)
+    flown = np.bincount(stratified_config_ids(3, 7, settings.run.evaluation.seed))
+    np.testing.assert_allclose(results.goal_ratio, (ratios @ flown).ravel() / 7, rtol=1e-6)
+    episodes = metrics.episodes.to_numpy().reshape(6, 3).cumsum(axis=1)
+    np.testing.assert_array_equal(trials.sum(axis=-1), episodes[:, 1:])
+    ended = metrics.goal_ratio.fillna(0) * metrics.episodes
+    successes = ended.to_numpy().reshape(6, 3).cumsum(axis=1)
+    np.testing.assert_allclose((trials - failures).sum(axis=-1), successes[:, 1:], atol=1e-3)
 
 
-def test_a_study_of_the_first_version_goes_on(study, settings, tmp_path):
+def test_a_study_of_the_first_version_is_read_and_not_gone_on_with(study, settings, tmp_path):
     """It named samplers by words, had an α of all runs, and no further grid."""
     folder = tmp_path / "study"
     shutil.copytree(study, folder)
     content = json.loads((folder / "study.json").read_text())
-    content["settings"]["run"] |= {"sampler": "pec", "alpha": 0.2}
-    del content["settings"]["grid"]
+    (table,) = settings.values_of("task.table")
+    ppo = {"num_envs": 8, "num_steps": 64, "num_minibatches": 2, "network": {"hidden": [8]}}
+    run = {"algorithm": "ppo", "ppo": ppo, "apex": {}, "sampler": "pec", "alpha": 0.2, "coordinates": table}
+    run |= {"scene": None, "iterations": 3, "evaluate_every": 2, "evaluation_episodes": 7}
+    grid = {"samplers": ["pec", "uniform"], "alphas": [0.0, 3.0], "coordinates": [table]}
+    content["settings"] = {"name": "tiny", "seeds": [4, 7], "at_once": 2, "run": run} | grid
+    content["versions"]["pecjax"] = "0.1.0"
     (folder / "study.json").write_text(json.dumps(content))
     assert StudyDirectory(folder).settings() == settings
-    run_study(settings, folder)
+    with pytest.raises(pecjax.InputError, match=r"differs in pecjax \('0\.1\.0' there, '.*' here\); give an"):
+        run_study(settings, folder)
     assert digests(folder) == digests(study)
-    with pytest.raises(
-        pecjax.InputError, match=r"differs in grid \(\[\] there, \[\['ppo.clip', \[0.1\]\]\] here"
-    ):
-        run_study(replace(settings, grid=(("ppo.clip", (0.1,)),)), folder)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("sampler", "alpha", "seed"), [("pec", 3.0, 7), ("uniform", None, 4)])
 def test_a_run_of_a_study_is_the_run_that_train_would_make(sampler, alpha, seed, study, settings, folders):
-    alone = settings.settings_of(RunSpec(settings.run.coordinates, sampler, alpha, seed))
+    values = (("sampler", sampler), *([("sampler.alpha", alpha)] if alpha else []))
+    alone = replace(settings.settings_of(RunSpec(seed, values)), configurations_every=2)
     folder = folders / f"alone-{sampler}"
     training.train(alone, folder, devices=1)
-    for name, table in (("metrics", "metrics"), ("results", "evaluation"), ("configurations",) * 2):
+    for name, table in (("metrics", "metrics"), ("results", "evaluation")):
         rows = pd.read_csv(study / f"{name}.csv").fillna({"alpha": -1})
         rows = rows[(rows.sampler == sampler) & (rows.alpha == (alpha or -1)) & (rows.seed == seed)]
         wanted = pd.read_csv(folder / f"{table}.csv")
-        rows, wanted = (
-            rows[rows.iteration.isin(wanted.iteration)],
-            wanted[wanted.iteration.isin(rows.iteration)],
-        )
+        assert rows.iteration.tolist() == wanted.iteration.tolist() and wanted.iteration.iloc[-1] == 3
         both = [column for column in rows.columns if column in wanted.columns]
-        assert len(both) >= 4 and rows.iteration.iloc[-1] == 3
-        np.testing.assert_allclose(rows[both], wanted[both], rtol=1e-5, err_msg=name)
+        assert len(both) >= 8
+        # Losses come out of differences of numbers about 1, in float32.
+        np.testing.assert_allclose(rows[both], wanted[both], rtol=1e-5, atol=1e-7, err_msg=name)
+    (part, run) = {"pec": (2, 1), "uniform": (1, 0)}[sampler]
+    found = counted(study)[part]
+    for place, iteration in enumerate(found["iteration"]):
+        counts, flown = (RunDirectory(folder).arrays(f, iteration) for f in ("configurations", "episodes"))
+        for name in ("trials", "failures"):
+            np.testing.assert_array_equal(found[name][run, place], counts[name])
+        ratios = [flown["success"][flown["config_id"] == config].mean() for config in range(3)]
+        np.testing.assert_allclose(found["goal_ratio"][run, place], ratios)
 
 
 def test_the_same_seed_begins_alike_under_every_sampler(study):
@@ -239,17 +289,19 @@ def test_a_study_that_was_stopped_ends_byte_for_byte_the_same(
 
 @pytest.mark.parametrize("asked", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_signal_stops_a_study_between_evaluations(asked, study, settings, tmp_path, monkeypatch):
-    advance = Progress.advance
+    rows, told = Progress.rows, []
 
-    def interrupt(self, iterations, figures):
+    def interrupt(self, table, of_runs):
         os.kill(os.getpid(), asked)
-        advance(self, iterations, figures)
+        told.append(of_runs[0]["iteration"])
+        rows(self, table, of_runs)
 
     with monkeypatch.context() as patched:
-        patched.setattr(Progress, "advance", interrupt)
+        patched.setattr(Progress, "rows", interrupt)
         with pytest.raises(StoppedError, match="the same command keeps what is finished") as stop:
             run_study(settings, tmp_path / "study")
-    assert stop.value.signal == asked
+    assert stop.value.signal == asked and told == [1]
+    assert not list((tmp_path / "study" / "slices").iterdir())
     run_study(settings, tmp_path / "study")
     assert digests(tmp_path / "study") == digests(study)
 
@@ -289,17 +341,16 @@ def test_a_full_disk_is_said_and_the_study_goes_on_afterwards(study, settings, t
 def test_a_study_whose_runs_all_diverge_ends_with_one_line_and_does_not_repeat_them(
     settings, tmp_path, monkeypatch, capsys
 ):
-    run = replace(settings.run, ppo=replace(settings.run.ppo, learning_rate=1e30))
-    diverging = replace(settings, run=run, samplers=("pec",), seeds=(4,))
-    words = (
-        r"2 of 2 runs diverged .* sampler pec, alpha 0\.0, seed 4: at iteration \d .*parameters.*try again"
-    )
+    run = replace(settings.run, agent=replace(settings.run.agent, learning_rate=1e30))
+    grid = grid_of(settings.run.task.table, samplers=("pec",))
+    diverging = replace(settings, run=run, grid=grid, seeds=(4,))
+    words = r"2 of 2 runs diverged .* sampler pec, alpha 0, seed 4: at iteration \d .*parameters.*try again"
     with pytest.raises(DivergedError, match=words) as error:
         run_study(diverging, tmp_path / "study")
     assert "\n" not in str(error.value)
     assert capsys.readouterr().err.count("; the other runs continue") == 2
     assert not StudyDirectory(tmp_path / "study").has_rows()
-    monkeypatch.setattr("pecjax.studies.run.make_program", None)
+    monkeypatch.setattr(study_run, "several_runs", None)
     with pytest.raises(DivergedError, match=words):
         run_study(diverging, tmp_path / "study")
 
@@ -308,24 +359,38 @@ def test_a_run_that_diverges_is_left_out_and_all_others_are_made(
     study, settings, tmp_path, monkeypatch, capsys
 ):
     """As if PEC with α = 3 and seed 4 diverged: the second run of the first slice."""
-    folder, add, asked = tmp_path / "study", _Rows.add_metrics, []
+    folder, asked, make = tmp_path / "study", [], study_run.several_runs
 
-    def add_metrics(self, iteration, metrics):
-        member = self._head["alpha"], self._head["seed"]
-        if member == ("3", 4) and iteration == 2:
-            asked.append(member)
-            metrics = metrics._replace(finite=dict.fromkeys(metrics.finite, False))
-        add(self, iteration, metrics)
+    def diverging(*args):
+        made, at = make(*args), {}
 
-    monkeypatch.setattr(_Rows, "add_metrics", add_metrics)
+        def begin(seeds, numbers):
+            at.update(seeds=list(seeds), iteration=0)
+            return made.begin(seeds, numbers)
+
+        def iterate(state):
+            state, metrics = made.program.iterate(state)
+            at["iteration"] += 1
+            if at == {"seeds": [4, 4], "iteration": 2}:
+                asked.append(at)
+                finite = {name: fine.at[1].set(False) for name, fine in metrics.finite.items()}
+                metrics = metrics._replace(finite=finite)
+            return state, metrics
+
+        return made._replace(begin=begin, program=made.program._replace(iterate=iterate))
+
+    monkeypatch.setattr(study_run, "several_runs", diverging)
     for _ in range(2):
-        with pytest.raises(DivergedError, match=r"1 of 6 runs .* alpha 3\.0, seed 4: at iteration 2"):
+        with pytest.raises(DivergedError, match=r"1 of 6 runs .* alpha 3, seed 4: at iteration 2"):
             run_study(settings, folder)
     assert len(asked) == 1  # the second time nothing is trained
     for name in TABLES:
         wanted = pd.read_csv(study / f"{name}.csv")
         wanted = wanted[~((wanted.alpha == 3) & (wanted.seed == 4))].reset_index(drop=True)
         pd.testing.assert_frame_equal(pd.read_csv(folder / f"{name}.csv"), wanted)
+    for found, part, runs in zip(counted(folder), counted(study), ([0], [0, 1], [0, 1]), strict=True):
+        for name in ("trials", "failures", "goal_ratio"):
+            np.testing.assert_array_equal(found[name], part[name][runs])
     assert "pec, α = 3 - uniform, 1 pairs" in study_report.write_report(folder)
     # The command reports what there is before it ends with the same line.
     named = Study(name="fig4", scale="smoke", out=folder)
@@ -339,13 +404,13 @@ def test_a_run_that_diverges_is_left_out_and_all_others_are_made(
     assert err.count("a smoke study tries the program out; its runs are too short to learn") == 2
     assert err.splitlines()[0].endswith("anything")
     shutil.rmtree(folder / "slices" / "0000")
-    monkeypatch.setattr(_Rows, "add_metrics", add)
+    monkeypatch.setattr(study_run, "several_runs", make)
     run_study(settings, folder)
     assert digests(folder) == digests(study)
 
 
 def test_a_finished_study_only_gathers(study, settings, monkeypatch):
-    monkeypatch.setattr("pecjax.studies.run.make_program", None)
+    monkeypatch.setattr(study_run, "several_runs", None)
     before = digests(study)
     (study / "results.csv").unlink()
     run_study(settings, study)
@@ -358,7 +423,7 @@ def test_a_finished_study_only_gathers(study, settings, monkeypatch):
         "a changed figure",
         *(
             pytest.param(damage, marks=pytest.mark.slow)
-            for damage in ("cut short", "a lost table", "no checksums")
+            for damage in ("cut short", "a lost table", "no checksums", "a changed count", "lost counts")
         ),
     ],
 )
@@ -373,6 +438,13 @@ def test_a_damaged_slice_is_found_said_and_made_again(damage, study, settings, t
         path.write_text(text[: len(text) // 2])
     elif damage == "a lost table":
         path.unlink()
+    elif damage == "a changed count":
+        arrays = counted(folder)[1]
+        np.savez(path.with_name("configurations.npz"), **arrays | {"trials": arrays["trials"] + 1})
+    elif damage == "lost counts":
+        path.with_name("configurations.npz").unlink()
+        sums = path.with_name("SHA256SUMS")
+        sums.write_text("".join(line for line in sums.read_text().splitlines(True) if ".npz" not in line))
     else:
         (path.parent / "SHA256SUMS").write_text("")
     run_study(settings, folder)
@@ -391,9 +463,12 @@ def test_another_studys_folder_is_refused_and_the_difference_named(study, settin
         return str(error.value)
 
     assert "seeds ([4, 7] there, [4] here)" in refusal(seeds=(4,))
-    assert "run.ppo.learning_rate (0.0003 there, 0.001 here)" in refusal(
-        run=replace(settings.run, ppo=replace(settings.run.ppo, learning_rate=1e-3))
+    assert "run.agent.learning_rate (0.0003 there, 0.001 here)" in refusal(
+        run=replace(settings.run, agent=replace(settings.run.agent, learning_rate=1e-3))
     )
+    more = (*settings.grid, ("agent.clip_epsilon", (0.1,)))
+    assert "grid.agent.clip_epsilon (None there, [0.1] here)" in refusal(grid=more)
+    assert "order of the grid (['task.table'" in refusal(grid=settings.grid[::-1])  # slices follow it
     versions = study_directory.environment_facts(1)
     versions["versions"]["jax"] = "0.1"
     monkeypatch.setattr(study_directory, "environment_facts", lambda _: versions)
@@ -401,7 +476,7 @@ def test_another_studys_folder_is_refused_and_the_difference_named(study, settin
     monkeypatch.undo()
     with open(near_goals, "a") as file:
         file.write("0 0 1 0\n")
-    assert "the content of coordinates-near.csv" in refusal()
+    assert "the content of task-0/coordinates.csv" in refusal()
     with open(near_goals, "w") as file:
         file.write("0 -2 0.7 -2\n5 -2.4 5 -3.2\n-5 -2 -5 -1.2\n")
 
@@ -428,19 +503,20 @@ def test_a_study_that_goes_on_at_another_commit_says_so_and_keeps_both(study, se
     assert (folder / "study.json").read_bytes() == (study / "study.json").read_bytes()
 
 
-def test_slices_of_an_older_version_need_no_provenance(study, settings, tmp_path, monkeypatch):
-    monkeypatch.setattr("pecjax.studies.run.make_program", None)
+def test_slices_need_no_provenance(study, settings, tmp_path, monkeypatch):
+    monkeypatch.setattr(study_run, "several_runs", None)
     folder = tmp_path / "study"
     shutil.copytree(study, folder)
     for path in (folder / "slices").glob("*/SHA256SUMS"):
         (path.parent / "provenance.json").unlink()
-        path.write_text("".join(line for line in path.read_text().splitlines(True) if ".csv" in line))
+        lines = path.read_text().splitlines(True)
+        path.write_text("".join(line for line in lines if "provenance" not in line))
     run_study(settings, folder)
     assert digests(folder) == digests(study)
 
 
 def test_a_slice_with_an_empty_table_is_no_traceback(study, settings, tmp_path, monkeypatch):
-    monkeypatch.setattr("pecjax.studies.run.make_program", None)
+    monkeypatch.setattr(study_run, "several_runs", None)
     folder = tmp_path / "study"
     shutil.copytree(study, folder)
     path = folder / "slices" / "0001" / "metrics.csv"
@@ -453,16 +529,16 @@ def test_a_slice_with_an_empty_table_is_no_traceback(study, settings, tmp_path, 
 
 
 def test_a_study_that_begins_while_another_looks_at_the_folder_is_left_alone(settings, tmp_path, monkeypatch):
-    folder, free = tmp_path / "study", study_directory.plain_files.check_free
+    folder, free = tmp_path / "study", study_directory.files.check_free
 
     def look(path):
         free(path)
-        monkeypatch.setattr(study_directory.plain_files, "check_free", free)
+        monkeypatch.setattr(study_directory.files, "check_free", free)
         with monkeypatch.context() as patched:
             patched.setattr("pecjax.studies.run._make_slices", lambda *_: None)
             run_study(replace(settings, seeds=(9,)), folder)
 
-    monkeypatch.setattr(study_directory.plain_files, "check_free", look)
+    monkeypatch.setattr(study_directory.files, "check_free", look)
     with pytest.raises(pecjax.InputError, match=r"differs in settings.seeds|differs in seeds"):
         run_study(settings, folder)
     assert StudyDirectory(folder).settings().seeds == (9,)
@@ -489,7 +565,7 @@ def test_a_study_killed_while_its_folder_is_made_begins_again(study, settings, t
     place.mkdir()
     monkeypatch.chdir(place)  # a folder that is there and empty will do
     with monkeypatch.context() as patched:
-        patched.setattr(study_directory, "table_text", lambda table: table.no_such_thing)
+        patched.setattr("pecjax.envs.rooms.settings.table_text", lambda table: table.no_such_thing)
         with pytest.raises(AttributeError):
             run_study(settings, Path("."))
     assert not list(place.iterdir())
@@ -497,22 +573,20 @@ def test_a_study_killed_while_its_folder_is_made_begins_again(study, settings, t
         patched.setattr(study_directory.os, "replace", kill)
         with pytest.raises(KilledError):
             run_study(settings, Path("."))
-    assert not (place / "study.json").exists() and (place / "scene.xml").exists()
+    assert not (place / "study.json").exists() and (place / "task-0" / "scene.xml").exists()
     run_study(settings, Path("."))
     assert digests(place) == digests(study)
 
 
 def test_a_study_knows_what_its_replays_take(monkeypatch):
     apex = find_study("fig14", "smoke").run
-    scene = pecjax.load_scene()
+    task, world = apex.task.make()
     asked = []
     monkeypatch.setattr("pecjax.training.program.check_memory", lambda needed, devices: asked.append(needed))
     for runs in (1, 4):
-        make_program(apex, scene, pecjax.COORDINATE_SET_1, runs)
-    agent = make_agent(
-        apex, pecjax.RoomsNavigation(scene), pecjax.COORDINATE_SET_1, pecjax.curriculum.pec(20)
-    )
-    assert asked == [agent.replay_bytes, 4 * agent.replay_bytes]
+        several_runs(apex, task, world, runs)
+    agent = apex.agent.make(task, pec(20))
+    assert asked == [agent.replay_bytes, 4 * agent.replay_bytes] and agent.replay_bytes > 1024 * 192
 
 
 def test_the_folder_of_a_run_is_no_place_for_a_study(settings, tmp_path):
@@ -547,14 +621,14 @@ def test_the_report_is_of_the_tables(study):
 def test_what_the_report_says_of_training_is_of_the_tables(study):
     study_report.write_report(study)
     runs = pd.read_csv(study / "runs.csv").set_index(["condition", "seed"])
-    metrics, configurations = (pd.read_csv(study / f"{name}.csv") for name in TABLES[1:])
+    metrics = pd.read_csv(study / "metrics.csv")
     mine = (metrics.alpha == 3) & (metrics.seed == 7)
     run = runs.loc[("pec, α = 3", 7)]
     assert run.training_goal_ratio == pytest.approx(metrics[mine].goal_ratio.mean(), rel=1e-5)
-    counts = configurations.query("alpha == 3 and seed == 7 and iteration == 3")
-    trial = counts.trials / counts.trials.sum()
+    trials, failures = (counted(study)[2][name][1, -1] for name in ("trials", "failures"))
+    trial = trials / trials.sum()
     assert (run.least_trial_ratio, run.greatest_trial_ratio) == pytest.approx((trial.min(), trial.max()))
-    assert run.failure_ratio == pytest.approx((counts.failures / counts.trials).mean(), rel=1e-5)
+    assert run.failure_ratio == pytest.approx((failures / trials).mean(), rel=1e-5)
     assert np.isnan(runs.alpha[("uniform", 4)]) and run.alpha == 3
 
 

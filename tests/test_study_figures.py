@@ -9,6 +9,7 @@ from synthetic import BATCH, study_settings, write_study
 from pecjax.plotting import study_curves, study_ends
 from pecjax.plotting.style import steps_axis
 from pecjax.studies import report as study_report
+from pecjax.studies.tables import read_study
 
 INF = np.inf
 
@@ -142,8 +143,8 @@ def test_exits_are_drawn_of_runs_that_had_one():
 def all_alike(request, tmp_path_factory):
     """A study whose runs all fail, and one whose runs all succeed."""
     folder = tmp_path_factory.mktemp("alike") / "study"
-    write_study(folder, study_settings((0.0, 0.2)), lambda member, progress: request.param)
-    return study_report.read_study(folder)
+    write_study(folder, study_settings((0.0, 0.2)), lambda run, progress: request.param)
+    return read_study(folder)
 
 
 def test_axes_of_ratios_show_ratios(all_alike):

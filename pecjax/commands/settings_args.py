@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any, get_type_hints
 
+from pecjax import settings_tree
 from pecjax.commands.options import read
 from pecjax.training.settings import RunSettings
 
@@ -24,7 +25,7 @@ def split(words: Sequence[str], command: type) -> tuple[list[str], list[str]]:
     command; the words up to the next option are its values.
     """
     own = {field.name for field in dataclasses.fields(command)}
-    leaves = {field.name for field in dataclasses.fields(RunSettings)} - _ELSEWHERE - own
+    leaves = {path for path, _ in settings_tree.leaves(RunSettings())} - _ELSEWHERE - own
     kept: list[str] = []
     settings: list[str] = []
     into = kept
@@ -65,7 +66,7 @@ def print_help(settings: RunSettings, command: type) -> None:
 
 
 def _tree(settings: RunSettings, command: type) -> Any:
-    """What may be set: the tree without what the command has options for."""
+    """What may be set: the tree without what has an option of its own in every command."""
     of_command = {field.name for field in dataclasses.fields(command)}
     elsewhere = _ELSEWHERE | ({"sampler"} if "samplers" in of_command else set())  # a study has its own
     hints = get_type_hints(RunSettings)

@@ -127,8 +127,8 @@ class Study:
         for path, values in given.items():
             if values is not None:
                 grid[path] = tuple(values)
-        samplers = tuple(map(str, grid.get("sampler", ()))) or (kind_name(run.sampler),)
-        samplers = tuple(kind_name(override(run, sampler=name).sampler) for name in samplers)
+        names = grid.get("sampler", (kind_name(run.sampler),))
+        samplers = tuple(kind_name(override(run, sampler=str(name)).sampler) for name in names)
         if "sampler" in grid:
             grid["sampler"] = samplers
         if not any(has_alpha(override(run, sampler=name).sampler) for name in samplers):

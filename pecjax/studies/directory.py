@@ -108,13 +108,11 @@ class StudyDirectory:
             os.replace(self._begun, self.folder / "study.json")
 
     def _compare(self, content: dict[str, Any], texts: dict[str, str]) -> None:
-        settings = self.settings()
-        held = json.loads((self.folder / "study.json").read_text())
-        held["settings"] = settings_tree.to_json(settings)  # as they are written today
+        settings = settings_tree.to_json(self.settings())  # as they are written today
+        versions = json.loads((self.folder / "study.json").read_text()).get("versions")
         differing = [
-            difference
-            for part in ("settings", "versions")
-            for difference in settings_tree.differences(held.get(part), content[part])
+            *settings_tree.differences(_by_path(settings), _by_path(content["settings"])),
+            *settings_tree.differences(versions, content["versions"]),
         ]
         for name, text in texts.items():
             path = self.folder / name
@@ -203,6 +201,12 @@ class StudyDirectory:
         """Of each of so many slices that is there, its folder and what `Collected.configurations` gave."""
         for path in self._held(number):
             yield path, read_plain_arrays(path / _CONFIGURATIONS)
+
+
+def _by_path(settings: dict[str, Any]) -> dict[str, Any]:
+    """A study's settings with its grid by path, so that differences have short names."""
+    grid = settings["grid"]
+    return settings | {"grid": dict(grid), "order of the grid": [path for path, _ in grid]}
 
 
 def _is_whole(path: Path) -> bool:

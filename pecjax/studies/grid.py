@@ -18,7 +18,8 @@ from pecjax.training.kinds import kind_name
 from pecjax.training.settings import RunSettings, check_settings, override
 
 Values = tuple[tuple[str, Any], ...]  # by dotted path
-# How tables name what most studies vary; they have these columns in any case.
+# How options and tables name what most studies vary; tables have these columns in any case.
+OPTIONS = {"task.table": "coordinates", "sampler": "samplers", "sampler.alpha": "alphas"}
 COLUMNS = {"task.table": "coordinates", "sampler": "sampler", "sampler.alpha": "alpha"}
 
 
@@ -61,7 +62,7 @@ class StudySettings:
             InputError: the first thing that cannot.
         """
         for path, values in (("seeds", self.seeds), *self.grid):
-            name = {path: f"{column}s" for path, column in COLUMNS.items()}.get(path, path).replace("ss", "s")
+            name = OPTIONS.get(path, path)
             if not values:
                 raise InputError(f"{name} is empty; give at least one")
             twice = sorted({str(value) for value in values if values.count(value) > 1})

@@ -16,9 +16,9 @@ def configuration_table(run: RunDirectory) -> pd.DataFrame:
     Raises:
         InputError: the run has not got that far.
     """
-    columns = {"iteration", "config", "trials", "failures"}
+    columns = ["iteration", "config", "trials", "failures", "probability"]
     if (run.folder / "configurations.csv").is_file():
-        return read_table(run.folder / "configurations.csv", columns)
+        return read_table(run.folder / "configurations.csv", set(columns[:-1]))
     parts = []
     for iteration in run.iterations("configurations"):
         arrays = run.arrays("configurations", iteration)
@@ -26,7 +26,7 @@ def configuration_table(run: RunDirectory) -> pd.DataFrame:
         parts.append(pd.DataFrame({"iteration": iteration, "config": config, **arrays}))
     if not parts:
         raise InputError(f"{run.folder / 'configurations'}: missing; train the run to its end")
-    return pd.concat(parts, ignore_index=True)
+    return pd.concat(parts, ignore_index=True)[columns]
 
 
 def trajectory_table(run: RunDirectory) -> pd.DataFrame:

@@ -144,6 +144,7 @@ def _loop(
     checkpoints = Checkpoints(folder, directory.identity())
     saved = position.iteration
     asked = 0
+    summary: dict[str, Any] = {}
 
     def diverged(_: int, iteration: int, names: list[str]) -> None:
         good = f"iteration {saved} is the last good checkpoint" if saved else "there is no checkpoint yet"
@@ -156,7 +157,8 @@ def _loop(
         if standing.evaluation:
             checkpoints.save_learner(there.iteration, there.state.learner)
         if standing.finished:
-            directory.write_json("summary.json", summarize(settings, standing, clock))
+            summary.update(summarize(settings, standing, clock))
+            directory.write_json("summary.json", summary)
         checkpoints.save_state(ResumeState.make(*there, clock.seconds()))
         saved = there.iteration
 
@@ -174,7 +176,7 @@ def _loop(
             f"stopped after iteration {ending.position.iteration}; {_how_to_resume(folder)}",
             signal.Signals(asked),
         )
-    return summarize(settings, ending, clock)
+    return summary
 
 
 def summarize(settings: RunSettings, ending: Ending, clock: Clock) -> dict[str, Any]:

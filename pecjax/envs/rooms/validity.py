@@ -52,7 +52,7 @@ def check_configurations(
         InputError: a row that names a map that is not there or cannot be flown, with the point at fault.
     """
     map_id = np.asarray(table.map_id)
-    for row in _first(map_id >= len(maps)):
+    for row in _first((map_id < 0) | (map_id >= len(maps))):
         raise InputError(
             f"{row_name(source, row)}: there is no map {map_id[row]}; the maps are 0 to {len(maps) - 1}"
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -91,7 +92,7 @@ def drone_alone(model: mujoco.MjModel, drone: int) -> mujoco.MjModel:
     body.add_freejoint()
     alone = spec.compile()
     set_options(alone)
-    alone.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    alone.opt.disableflags |= model.opt.disableflags | mujoco.mjtDisableBit.mjDSBL_ACTUATION
     for name in _OPTIONS:
         value = getattr(model.opt, name)
         if np.ndim(value):
@@ -101,6 +102,17 @@ def drone_alone(model: mujoco.MjModel, drone: int) -> mujoco.MjModel:
     for name in _OF_JOINT:
         getattr(alone, name)[:] = getattr(model, name)
     return alone
+
+
+def passive_physics(model: Any, drone: int) -> dict[str, np.ndarray]:
+    """What else of a MuJoCo or MJX model acts on the drone, by MJCF's names: air, damping and the like."""
+    numbers = {name: getattr(model.opt, name) for name in _OPTIONS}
+    numbers |= {name: getattr(model, name) for name in _OF_JOINT if not name.startswith("qpos")}
+    # Where the drone stands in the map matters to a spring only.
+    numbers["spring"] = model.qpos_spring * np.any(model.jnt_stiffness)
+    numbers["gravcomp"] = model.body_gravcomp[drone]
+    numbers["flags"] = int(model.opt.disableflags) | int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    return {name.rpartition("_")[2]: np.asarray(value, np.float32) for name, value in numbers.items()}
 
 
 def set_options(model: mujoco.MjModel) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from pecjax.envs.rooms.mjcf_file import MapFile
 from pecjax.envs.rooms.quiet_mjx import mjx
-from pecjax.envs.rooms.vehicle import Camera, Rotors, Vehicle, drone_alone
+from pecjax.envs.rooms.vehicle import Camera, Rotors, Vehicle, drone_alone, passive_physics
 from pecjax.errors import InputError
 
 DEFAULT_DEPTH_RANGE = (0.1, 10.0)
@@ -21,7 +21,7 @@ def find_drone(map_file: MapFile) -> int:
     """The number of the drone's body.
 
     Raises:
-        InputError: there is none, or it is not one free body.
+        InputError: there is none, or it is not one free body, or hangs on something.
     """
     model, path = map_file.model, map_file.path
     drone = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "drone")
@@ -32,6 +32,9 @@ def find_drone(map_file: MapFile) -> int:
         raise InputError(
             f"{path}: the drone must be one body; put its geoms, sites and camera on 'drone' itself"
         )
+    for name in ("stiffness", "damping", "armature"):
+        if np.any(getattr(model, f"tendon_{name}")):
+            raise InputError(f"{path}: a tendon has {name}, and nothing may hold the drone; take that out")
     return drone
 
 
@@ -55,11 +58,12 @@ def read_vehicle(map_file: MapFile, drone: int, like: Vehicle | None = None) -> 
         "rotors": read_rotors(map_file, drone),
     }
     if like is not None:
-        for name, part in parts.items():
-            if not _equal(part, getattr(like, name)):
+        first = {name: getattr(like, name) for name in parts} | passive_physics(like.physics, 1)
+        for name, part in (parts | passive_physics(model, drone)).items():
+            if not _equal(part, first[name]):
                 raise InputError(
                     f"{map_file.path}: its drone differs in {name} from that of the first map; all maps of a "
-                    "task need the same drone"
+                    "task need the same drone, in the same air"
                 )
         return like
     try:
@@ -179,7 +183,7 @@ def read_rotors(map_file: MapFile, drone: int) -> Rotors:
             "that reaches above 0"
         )
     data = mujoco.MjData(model)
-    data.qpos[3:] = (1, 0, 0, 0)
+    data.qpos[:] = (0, 0, 0, 1, 0, 0, 0)  # wherever it stands: maps with the same drone get the same bits
     wrench = np.zeros((6, model.nu))
     for rotor in range(model.nu):
         data.ctrl[:] = 0
