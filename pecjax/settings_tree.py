@@ -201,10 +201,10 @@ def _converter() -> cattrs.Converter:
         kind, given = declared, dict(content)
         if KIND in given:
             kind = _load(str(given.pop(KIND)), declared)
-            fields = [field.name for field in dataclasses.fields(kind)]
-            for name in given:
-                if name not in fields:
-                    raise InputError(f"{address(kind)}: has no setting {name}{nearest(name, fields)}")
+        fields = [field.name for field in dataclasses.fields(kind)]
+        for name in given:
+            if name not in fields:
+                raise InputError(f"{address(kind)}: has no setting {name}{nearest(name, fields)}")
         return plain(kind)(given, kind)
 
     converter.register_structure_hook(int, lambda value, _: _whole(value))

@@ -268,13 +268,12 @@ def test_settings_that_do_not_fit_one_another_are_refused(change, words):
 
 
 class Seen(TwoStates):
-    """The same, of which one sees an image too."""
+    """The same, of which one sees an image, and two numbers that say nothing."""
 
-    observation_space = {"look": Box((1, 1), 0.0, 1.0), "room": Box((2,))}  # noqa: RUF012
+    observation_space = {"look": Box((1, 1), 0.0, 1.0), "nothing": Box((2,))}  # noqa: RUF012
 
     def observe(self, key, state, params):
-        rooms = super().observe(key, state, params)
-        return {"look": rooms[:1, None], "room": rooms}
+        return {"look": jnp.full((1, 1), 1.0 * state.room), "nothing": jnp.zeros(2)}
 
 
 def test_the_replay_says_what_it_takes():
@@ -322,7 +321,7 @@ def test_values_reach_across_a_cut_and_no_further_than_an_ending(n_step):
 
 
 def test_actions_that_are_no_choices_are_refused():
-    with pytest.raises(InputError, match="apex needs discrete actions, .*; choose the agent ppo") as refused:
+    with pytest.raises(InputError, match=r"apex needs discrete actions, .*; choose the agent ppo") as refused:
         TOY.make(Target(), pecjax.curriculum.pec(TARGET_WORLD.table.number.size))
     assert "\n" not in str(refused.value)
 

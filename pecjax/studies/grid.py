@@ -82,6 +82,7 @@ class StudySettings:
             spec = RunSpec(0, values)
             settings = self.settings_of(spec)
             check_settings(settings)
+            settings.agent.check()
             _check_numbers(spec, settings)
 
     def _check_paths(self) -> None:

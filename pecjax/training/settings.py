@@ -94,9 +94,9 @@ def check_settings(settings: RunSettings) -> None:
         InputError: the first setting that cannot.
     """
     settings.sampler.make(1)
-    settings.agent.check()
     counts = {
         "iterations": settings.stop.iterations,
+        "num-envs": settings.agent.num_envs,
         "patience": settings.stop.patience,
         "evaluation.every": settings.evaluation.every,
         "evaluation.episodes": settings.evaluation.episodes,
