@@ -294,3 +294,15 @@ def test_padding_keeps_the_order_of_the_walls():
     assert bank.lower.shape == (2, 2, 3) and bank.lower.dtype == np.float32
     np.testing.assert_array_equal(bank.lower[1, 0], np.ones(3))
     np.testing.assert_array_equal(bank.lower[1, 1], bank.upper[1, 1])
+
+
+def test_a_notice_says_which_of_the_maps_is_open(folder, tmp_path):
+    east = '<geom name="east" type="box" pos="6 0 1.5" size="1.5 4 0.1" euler="0 90 0"/>'
+    assert east in OTHER_MAP
+    (tmp_path / "open.xml").write_text(OTHER_MAP.replace(east, ""))
+    (tmp_path / "pairs.txt").write_text(TABLE.replace("5 0 1", "4 0 1"))  # where there still is a map
+    for maps, expected in (("a", "open", "c"), 1), (("a", "b", "c"), 0):
+        paths = [str((tmp_path if name == "open" else folder) / f"{name}.xml") for name in maps]
+        settings = Rooms(table=str(tmp_path / "pairs.txt"), maps=tuple(paths))
+        lines = settings.notices(*settings.make())
+        assert len(lines) == expected and all("map 1 has no closed outer walls" in line for line in lines)

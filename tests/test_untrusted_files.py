@@ -1,6 +1,5 @@
 """Files from anyone: refused in one line or bounded, never obeyed."""
 
-import dataclasses
 import functools
 import json
 import time
@@ -15,11 +14,12 @@ import numpy as np
 import pytest
 
 import pecjax
+from pecjax import settings_tree
 from pecjax.cli import main
 from pecjax.envs.rooms import load_scene
 from pecjax.runtime import devices
 from pecjax.storage.arrays import CorruptFileError, read_arrays, write_arrays
-from pecjax.training import build as assembly
+from pecjax.training.build import build
 from pecjax.training.presets import PRESETS
 
 BOMB = """<!DOCTYPE lolz [<!ENTITY a "lol"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">
@@ -64,7 +64,7 @@ def test_includes_inside_the_folder_are_followed_and_looked_through(edited_rooms
     path.write_text(edited_rooms(("<worldbody>", '<include file="more.xml"/><worldbody>')).read_text())
     wall = '<geom type="box" size="0.1 1 1" pos="-6 6 1"/>'
     (tmp_path / "more.xml").write_text(f"<mujocoinclude><worldbody>{wall}</worldbody></mujocoinclude>")
-    assert len(load_scene(path).wall_names) == 15
+    assert len(load_scene(path).map.names) == 15
     (tmp_path / "more.xml").write_text('<mujocoinclude><size memory="900G"/></mujocoinclude>')
     with pytest.raises(pecjax.InputError, match="memory"):
         load_scene(path)
@@ -160,7 +160,7 @@ def test_what_a_map_may_need_is_within_the_bounds(edited_rooms):
         '<replicate count="20" offset="0 0.8 0"><geom type="box" size="0.1 0.1 1" pos="-9 -8 1"/></replicate>'
     )
     piece = f"<asset>{texture}{sky}</asset><worldbody>{walls}"
-    assert len(load_scene(edited_rooms(("<worldbody>", piece))).wall_names) == 34
+    assert len(load_scene(edited_rooms(("<worldbody>", piece))).map.names) == 34
 
 
 def test_a_map_that_is_a_link_includes_what_lies_beside_the_link(edited_rooms, tmp_path):
@@ -232,22 +232,22 @@ def test_a_control_period_of_a_hundred_million_steps(edited_rooms):
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
-        ("resolution", [40000, 40000], "resolution is 40000×40000; 1 to 1,048,576 pixels"),
-        ("resolution", [0, 5], "resolution is 0×5"),
-        ("resolution", [10**12, 1], "resolution is 1000000000000"),
-        ("ppo.num_envs", 2**30, "num-envs is 1073741824; 1,048,576 is the most"),
-        ("ppo.num_steps", 10**15, "num-steps is 1000000000000000"),
-        ("ppo.num_steps", 2**20, "more than 268,435,456 steps an iteration"),
-        ("ppo.network.hidden", [64, 10**6], "hidden is 1000000; 16,384 is the most"),
-        ("ppo.network.hidden", [64, -1], "at least 1 wide"),
-        ("ppo.network.hidden", [64] * 1000, "1000 layers"),
+        ("task.resolution", [40000, 40000], "resolution is 40000×40000; 1 to 1,048,576 pixels"),
+        ("task.resolution", [0, 5], "resolution is 0×5"),
+        ("task.resolution", [10**12, 1], "resolution is 1000000000000"),
+        ("agent.num_envs", 2**30, "num-envs is 1073741824; 1,048,576 is the most"),
+        ("agent.num_steps", 10**15, "num-steps is 1000000000000000"),
+        ("agent.num_steps", 2**20, "more than 268,435,456 steps an iteration"),
+        ("agent.network.hidden", [64, 10**6], "hidden is 1000000; 16,384 is the most"),
+        ("agent.network.hidden", [64, -1], "at least 1 wide"),
+        ("agent.network.hidden", [64] * 1000, "1000 layers"),
         ("apex.network.head", 10**6, "head is 1000000"),
         ("apex.replay.capacity", 2**40, "capacity is 1099511627776"),
         ("apex.batch_size", 2**40, "batch-size is 1099511627776"),
         ("apex.target_period", 2**31, "target-period is 2147483648"),
         ("apex.replay_ratio", float("inf"), "replay-ratio is inf; it must be finite"),
-        ("evaluation_episodes", 10**6, "evaluation-episodes is 1000000; 100,000 is the most"),
-        ("iterations", 10**20, "iterations is 100000000000000000000; 2,147,483,647 is the most"),
+        ("evaluation.episodes", 10**6, "episodes is 1000000; 100,000 is the most"),
+        ("stop.iterations", 10**20, "iterations is 100000000000000000000; 2,147,483,647 is the most"),
         ("configurations_every", 0, "configurations-every is 0"),
     ],
 )
@@ -256,24 +256,26 @@ def test_absurd_settings_of_a_strangers_run_are_refused(path, value, words, tmp_
     monkeypatch.setattr(devices, "keep_compiled_programs", lambda *_: None)
     run = fuzz.sample_run(tmp_path / "run")
     config = json.loads((run / "config.json").read_text())
+    if path.startswith("apex."):
+        config["settings"] |= settings_tree.to_json(PRESETS["apex-fast"])
+        path = path.replace("apex", "agent")
     *parents, name = ("settings." + path).split(".")
     functools.reduce(dict.__getitem__, parents, config)[name] = value
     (run / "config.json").write_text(json.dumps(config))
     for command in (["eval", run], ["train", "--resume", "--out", run]):
-        if name == "evaluation_episodes" and command[0] == "eval":
+        if name == "episodes" and command[0] == "eval":
             command += ["--episodes", value]
         assert main([str(word) for word in command]) == 2
         out, err = capsys.readouterr()
         assert words in err and err.count("\n") == 1 and out == ""
 
 
-def test_images_that_no_memory_holds_are_refused(scene):
+def test_images_that_no_memory_holds_are_refused():
     """Each number may be had, and all of them together may not."""
-    many = dataclasses.replace(PRESETS["fast"], resolution=(1024, 1024))
-    many = dataclasses.replace(many, ppo=dataclasses.replace(many.ppo, num_envs=2**17))
-    large = pecjax.load_scene(resolution=many.resolution)
-    with pytest.raises(pecjax.InputError, match=r"the depth images of an iteration take 17592\.2 GB"):
-        assembly.build(many, large, pecjax.COORDINATE_SET_1, 1)
+    many = settings_tree.set_path(PRESETS["fast"], "task.resolution", (1024, 1024))
+    many = settings_tree.set_path(many, "agent.num_envs", 2**17)
+    with pytest.raises(pecjax.InputError, match=r"the observations of an iteration take 17592\.2 GB"):
+        build(many, 1)
 
 
 WANTED = {"w": np.ones((3, 2), np.float32)}

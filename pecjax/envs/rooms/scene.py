@@ -76,15 +76,18 @@ def load_scene(
         like: the drone that it must have, of another map of the same task.
 
     Raises:
-        InputError: the file is missing, is not MJCF, or lacks one of the above.
+        InputError: the file is missing, is not MJCF, or lacks one of the above; or a resolution of too
+            many pixels or none.
     """
+    if resolution is not None:
+        width, height = resolution
+        if min(width, height) < 1 or width * height > MAX_PIXELS:
+            raise InputError(f"resolution is {width}×{height}; 1 to {MAX_PIXELS:,} pixels are possible")
     map_file = read_mjcf(default_scene_path() if path is None else Path(path))
     model = map_file.model
     drone = find_drone(map_file)
     set_options(model)
     if resolution is not None:
-        if not all(0 < pixels <= MAX_PIXELS for pixels in resolution):
-            raise InputError(f"resolution is {resolution}; give a width and a height in pixels")
         model.cam_resolution[:] = resolution
     walls = read_map(map_file, drone)
     return Scene(model, read_vehicle(map_file, drone, like), walls, map_file.text)
