@@ -88,7 +88,8 @@ def set_path(tree: T, path: str, value: Any) -> T:
 
 def _set(tree: Any, names: list[str], path: str, value: Any) -> Any:
     first, *rest = names
-    fields = [field.name for field in dataclasses.fields(tree)] if dataclasses.is_dataclass(tree) else []
+    is_tree = dataclasses.is_dataclass(tree)
+    fields = [field.name for field in dataclasses.fields(tree)] if is_tree else []
     if first not in fields:
         known = f"there are {', '.join(fields)}" if fields else "it has no settings"
         raise InputError(f"no setting {path}{nearest(first, fields)}; of {type(tree).__name__} {known}")

@@ -40,11 +40,9 @@ def check_task(task, world, steps=60, episodes=6):
     first = signature(state)
     seen = observe(keys, state, world.params)
     of_boxes = [box.shape for box in jax.tree.leaves(task.observation_space)]
-    assert [leaf.shape[1:] for leaf in jax.tree.leaves(seen)] == of_boxes, (
-        "as the space says"
-    )
-    # All that is drawn is drawn from the key.
-    again = jax.jit(reset)(keys, take_configs(world.table, ids), world.params)
+    assert [leaf.shape[1:] for leaf in jax.tree.leaves(seen)] == of_boxes, "as the space says"
+    # All that is drawn is drawn from the key, also where it is traced anew.
+    again = jax.jit(lambda *args: reset(*args))(keys, take_configs(world.table, ids), world.params)
     jax.tree.map(np.testing.assert_array_equal, state, again)
 
     ended, truncated = 0, 0

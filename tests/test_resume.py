@@ -509,9 +509,19 @@ def test_another_run_is_refused_and_the_difference_named(whole, tmp_path, monkey
         settings = override(RunDirectory(folder).settings(), iterations=9)
         with pytest.raises(pecjax.InputError, match="alpha" if name == "config.json" else "scene.xml"):
             training.resume(settings, folder)
+    # Another version is refused, and where config.json does not name it, by what the state says.
+    silent = tmp_path / "silent"
+    shutil.copytree(whole(PPO, 1), silent)
+    config = json.loads((silent / "config.json").read_text())
+    del config["sessions"], config["versions"]
+    (silent / "config.json").write_text(json.dumps(config))
     monkeypatch.setattr("importlib.metadata.version", lambda _: "0.0.1")
-    with pytest.raises(pecjax.InputError, match=r"version \('.*' there, '0.0.1' here\)"):
-        training.resume(override(PPO, iterations=9), whole(PPO, 1))
+    for folder, words in (
+        (whole(PPO, 1), "run of another"),
+        (silent, "6.npz: belongs to a run that differs in"),
+    ):
+        with pytest.raises(pecjax.InputError, match=rf"{words} version \('.*' there, '0.0.1' here\)"):
+            training.resume(override(PPO, iterations=9), folder)
 
 
 def test_a_state_of_other_shapes_is_refused(tmp_path):

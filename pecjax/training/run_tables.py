@@ -26,7 +26,7 @@ def configuration_table(run: RunDirectory) -> pd.DataFrame:
         parts.append(pd.DataFrame({"iteration": iteration, "config": config, **arrays}))
     if not parts:
         raise InputError(f"{run.folder / 'configurations'}: missing; train the run to its end")
-    return pd.concat(parts, ignore_index=True)[columns]
+    return pd.concat(parts, ignore_index=True).loc[:, columns]
 
 
 def trajectory_table(run: RunDirectory) -> pd.DataFrame:
