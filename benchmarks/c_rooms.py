@@ -9,11 +9,11 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
 import pecjax
-from pecjax.agents.networks import DISTANCE_SCALE
 from pecjax.envs.rooms.clearance import wall_distance
 from pecjax.envs.rooms.depth import pixel_directions
 from pecjax.envs.rooms.flight import Command, DroneState, rotor_controls
-from pecjax.envs.rooms.navigation import SPEEDS, YAW_RATES
+from pecjax.envs.rooms.sensing import DISTANCE_SCALE
+from pecjax.envs.rooms.task import SPEEDS, YAW_RATES
 
 
 class CRooms(VecEnv):
@@ -21,19 +21,21 @@ class CRooms(VecEnv):
 
     def __init__(self, env: pecjax.RoomsNavigation, num_envs: int) -> None:
         """Builds N simulations of the environment's own scene."""
-        self._scene, self._settings, self._steps = env.scene, env.settings, env.physics_steps
+        task, vehicle, walls = env.task, env.scene.vehicle, env.scene.walls
+        self._scene, self._settings, self._steps = env.scene, task.settings, task.physics_steps
+        self._camera, self._radius = vehicle.camera, vehicle.radius
         self._table = jax.tree.map(np.asarray, env.configurations)
         self._datas = [mujoco.MjData(env.scene.model) for _ in range(num_envs)]
         self._drone = env.scene.model.body("drone").id
-        self._rays = pixel_directions(env.scene.camera).reshape(-1, 3)
+        self._rays = pixel_directions(self._camera).reshape(-1, 3)
         self._draw = np.random.default_rng(0)
-        gains = env.settings.gains
+        gains = task.settings.gains
         self._control = jax.jit(
-            jax.vmap(lambda state, command: rotor_controls(env.scene, gains, state, command))
+            jax.vmap(lambda state, command: rotor_controls(vehicle, gains, state, command))
         )
-        self._clearance = jax.jit(lambda points: wall_distance(env.scene, points))
+        self._clearance = jax.jit(lambda points: wall_distance(walls, points))
         self._goal = np.zeros((num_envs, 2))
-        self._age, self._standing = np.zeros(num_envs, int), np.zeros(num_envs, int)
+        self._age, self._hovering = np.zeros(num_envs, int), np.zeros(num_envs, int)
         space = spaces.Box(-np.inf, np.inf, (len(self._rays) + 3,), np.float32)
         super().__init__(num_envs, space, spaces.Discrete(len(SPEEDS) * len(YAW_RATES)))
 
@@ -46,10 +48,10 @@ class CRooms(VecEnv):
         data.qpos[3:] = (np.cos(heading / 2), 0, 0, np.sin(heading / 2))
         mujoco.mj_kinematics(self._scene.model, data)
         self._goal[i] = self._table.goal[row]
-        self._age[i] = self._standing[i] = 0
+        self._age[i] = self._hovering[i] = 0
 
     def _observe(self) -> np.ndarray:
-        camera, number = self._scene.camera, len(self._rays)
+        camera, number = self._camera, len(self._rays)
         obs = np.empty((self.num_envs, number + 3), np.float32)
         ids, distances = np.zeros(number, np.int32), np.zeros(number)
         for i, data in enumerate(self._datas):
@@ -106,13 +108,13 @@ class CRooms(VecEnv):
             places = np.array([data.qpos[:3] for data in self._datas], np.float32)
             near = np.minimum(near, np.asarray(self._clearance(places)))
         self._age += 1
-        self._standing = np.where(speed == 0, self._standing + 1, 0)
-        hit = near <= self._scene.drone_radius
+        self._hovering = np.where(speed == 0, self._hovering + 1, 0)
+        hit = near <= self._radius
         reached = (np.linalg.norm(self._goal - places[:, :2], axis=1) < settings.goal_radius) & ~hit
         late = (self._age >= settings.max_steps) & ~hit & ~reached
         reward = settings.step_reward + settings.goal_reward * reached + settings.collision_reward * hit
         reward += settings.timeout_reward * late
-        reward += settings.standing_reward * (self._standing > settings.standing_limit)
+        reward -= settings.hover_penalty * (self._hovering > settings.hover_limit)
         done = hit | reached | late
         for i in np.flatnonzero(done):
             self._place(i)

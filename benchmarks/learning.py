@@ -10,78 +10,75 @@ import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
 from workloads import SAME, Workload, sharded, waiting
 
-import pecjax
-from pecjax.agents import AXIS, apex, apex_update, ppo, ppo_update, replay, shard
-from pecjax.agents.networks import ActorCritic, draw_action, encode, forward
-from pecjax.agents.rollout import Trajectory, env_keys
+from pecjax.agents import AXIS, PPO, AgentSettings, Apex, shard
+from pecjax.agents.apex import replay
+from pecjax.agents.distributions import make_distribution
+from pecjax.agents.networks import ActorCritic, forward
+from pecjax.agents.observations import encode, image_shapes
+from pecjax.agents.ppo.update import Learner, make_optimizer, prepare, update
+from pecjax.agents.rollout import Trajectory
+from pecjax.agents.sharding import env_keys
 from pecjax.curriculum import Outcomes, Sampler
+from pecjax.envs.task import Task, World
+from pecjax.training.build import everywhere
 
 
-def training(
-    env: pecjax.RoomsNavigation,
-    sampler: Sampler,
-    mesh: Mesh,
-    settings: ppo_update.PPOSettings | apex_update.ApexSettings,
-) -> Workload:
+def training(task: Task, world: World, sampler: Sampler, mesh: Mesh, settings: AgentSettings) -> Workload:
     """PPO or Ape-X end to end, Ape-X once its replay is warm."""
-    if isinstance(settings, apex_update.ApexSettings):
+    if isinstance(settings, Apex):
         settings = dataclasses.replace(settings, learning_starts=0)
-        agent = apex.make(env, env.configurations, sampler, settings, AXIS)
-    else:
-        agent = ppo.make(env, env.configurations, sampler, settings, AXIS)
-    agent = shard(agent, mesh)
-    carry = [agent.init(jax.random.key(0))]
+    agent, world = shard(settings.make(task, sampler, AXIS), mesh), everywhere(world, mesh)
+    carry = [agent.init(jax.random.key(0), world)]
     iterate = jax.jit(agent.iterate, donate_argnums=0)
 
     def run() -> None:
-        carry[0], metrics = iterate(carry[0])
+        carry[0], metrics = iterate(carry[0], world)
         jax.block_until_ready(metrics)
 
     return Workload(run, agent.steps_per_iteration, "control steps/s")
 
 
-def learner(
-    env: pecjax.RoomsNavigation, mesh: Mesh, settings: ppo_update.PPOSettings
-) -> tuple[Workload, Workload]:
+def learner(task: Task, mesh: Mesh, settings: PPO) -> tuple[Workload, Workload]:
     """The policy's step (forward and draw) and the update, on made-up batches."""
-    camera = env.scene.camera
-    network = ActorCritic(settings.network, env.action_size, (camera.height, camera.width))
+    space, distribution = task.observation_space, make_distribution(task.action_space)
+    network = ActorCritic(settings.network, distribution.num_params, image_shapes(space))
     key = jax.random.key(0)
     shape = (settings.num_steps, settings.num_envs)
     obs = {
-        "depth": jax.random.uniform(key, (*shape, camera.height, camera.width), maxval=camera.far),
-        "goal": jax.random.normal(key, (*shape, 2)),
+        "depth": jax.random.uniform(key, (*shape, *space["depth"].shape)),
+        "goal": jax.random.normal(key, (*shape, *space["goal"].shape)),
     }
-    features = encode(obs, camera.far)
+    features = encode(space, obs)
     params = network.init(key, features[0, :1])
-    optimizer = ppo_update.make_optimizer(settings)
-    state = ppo_update.Learner(params, optimizer.init(params), jnp.float32(0))
+    optimizer = make_optimizer(settings)
+    state = Learner(params, optimizer.init(params), jnp.float32(0))
     logits, value = jax.jit(lambda f: forward(network, params, f))(features)
-    action = jax.random.randint(key, shape, 0, env.action_size)
+    action = jax.random.randint(key, shape, 0, distribution.num_params)
     reward = jax.random.normal(key, shape)
-    trajectory = Trajectory(None, action, reward, reward > 2, (features, logits, value))
+    done = jnp.float32(reward > 2)
+    trajectory = Trajectory(None, action, reward, done, None, (features, action, logits, value))
 
     def act(params, obs, key):
-        chances = jax.random.uniform(key, obs["goal"].shape[:2])
+        noise = jax.random.uniform(key, obs["goal"].shape[:2])
 
         def step(_, row):
-            obs, chance = row
-            logits, _ = forward(network, params, encode(obs, camera.far))
-            return None, draw_action(logits, chance)
+            obs, noise = row
+            logits, _ = forward(network, params, encode(space, obs))
+            return None, distribution.draw(logits, noise)
 
-        return jax.lax.scan(step, None, (obs, chances))[1]
+        return jax.lax.scan(step, None, (obs, noise))[1]
 
-    def update(state, trajectory, key):
-        batch = ppo_update.prepare(settings, trajectory, trajectory.reward[0], AXIS)
-        return ppo_update.update(network, optimizer, settings, state, batch, key, AXIS)
+    def learn(state, trajectory, key):
+        batch = prepare(settings, trajectory, trajectory.reward[0], AXIS)
+        return update(network, distribution, optimizer, settings, state, batch, key, AXIS)
 
     over_envs = PartitionSpec(None, AXIS)
     policy = sharded(act, mesh, (SAME, over_envs, SAME), over_envs)
-    learn = sharded(update, mesh, (SAME, over_envs, SAME), SAME)
+    learning = sharded(learn, mesh, (SAME, over_envs, SAME), SAME)
     amount = settings.num_steps * settings.num_envs
     return (
         Workload(waiting(policy, params, obs, key), amount, "control steps/s"),
-        Workload(waiting(learn, state, trajectory, key), amount, "control steps/s"),
+        Workload(waiting(learning, state, trajectory, key), amount, "control steps/s"),
     )
 
 
@@ -99,7 +96,7 @@ def curriculum(sampler: Sampler, num_configs: int, draws: int) -> tuple[Workload
     return Workload(run, 1, "times/s"), Workload(waiting(copy, counts), 1, "times/s")
 
 
-def sampling(sampler: Sampler, num_configs: int, mesh: Mesh, settings: ppo_update.PPOSettings) -> Workload:
+def sampling(sampler: Sampler, num_configs: int, mesh: Mesh, settings: PPO) -> Workload:
     """A sampler's own part of an iteration: every environment's draws, and what it learns of endings."""
     shape = (settings.num_steps, settings.num_envs)
     key_id, key_done, key_failed = jax.random.split(jax.random.key(0), 3)
@@ -129,13 +126,13 @@ def replay_parts(capacity: int) -> dict[str, Workload]:
     settings = replay.ReplaySettings(capacity=capacity)
     shape = (REPLAY_STEPS, REPLAY_ENVS)
     number = jnp.zeros(shape)
-    frame = replay.Frame(jnp.zeros((*shape, 192), jnp.uint8), jnp.zeros((*shape, 2)))
-    rows = replay.Rows(frame, number.astype(jnp.int32), number, number, number + 1)
+    obs = (jnp.zeros((*shape, 192), jnp.uint8), jnp.zeros((*shape, 3)))
+    rows = replay.Rows(obs, number.astype(jnp.int32), number, number, number + 1)
 
     def draw(shard: replay.Replay, key: jax.Array) -> tuple[replay.Replay, jax.Array]:
         batch = replay.sample(settings, shard, key, REPLAY_DRAWS, REPLAY_ENVS, N_STEP)
         # A sum over every image, so that none is optimised away.
-        seen = batch.frame.depth.sum() + batch.next_frame.depth.sum() + batch.weight.sum()
+        seen = batch.obs[0].sum() + batch.next_obs[0].sum() + batch.weight.sum()
         return shard, jnp.where(seen < 0, 0, batch.leaf)
 
     def new_priorities(shard: replay.Replay, key: jax.Array) -> tuple[replay.Replay, jax.Array]:
@@ -156,7 +153,7 @@ def replay_parts(capacity: int) -> dict[str, Workload]:
         program = jax.jit(
             lambda shard, key: jax.lax.scan(step, shard, jax.random.split(key, 100)), donate_argnums=0
         )
-        shard = replay.empty(capacity // REPLAY_ENVS, REPLAY_ENVS, 192)
+        shard = replay.empty(capacity // REPLAY_ENVS, REPLAY_ENVS, obs)
         error = jax.random.uniform(jax.random.key(0), (capacity,))
         carry = [replay.reprioritize(settings, shard, jnp.arange(capacity), error), jax.random.key(0)]
 

@@ -28,10 +28,12 @@ import workloads
 from brax.envs.base import Env, State
 
 import pecjax
-from pecjax.agents.networks import encode
-from pecjax.agents.ppo_update import PPOSettings
+from pecjax import agents
+from pecjax.agents.observations import encode
 from pecjax.curriculum import pec
-from pecjax.envs.rooms.navigation import SPEEDS, YAW_RATES
+from pecjax.envs.rooms.sensing import scale
+from pecjax.envs.rooms.task import SPEEDS, YAW_RATES
+from pecjax.envs.task import World
 from pecjax.runtime.devices import use_all_cores
 from pecjax.runtime.provenance import environment_facts
 
@@ -42,6 +44,11 @@ BATCHES_A_TURN = 8
 Turn = Callable[[], int]  # trains for a while; returns the environment steps that it took
 
 
+def flat(env: pecjax.RoomsNavigation, obs: dict[str, jax.Array]) -> jax.Array:
+    """An observation as our own networks are given it."""
+    return encode(env.task.observation_space, scale(obs, env.scene.vehicle.camera.far))
+
+
 class BraxRooms(Env):
     """Our environment as Brax's PPO wants it: flat observations, continuous actions snapped."""
 
@@ -49,7 +56,7 @@ class BraxRooms(Env):
         self.inner = env
 
     def _flat(self, state: State) -> State:
-        return state.replace(obs=encode(state.obs, self.inner.scene.camera.far))
+        return state.replace(obs=flat(self.inner, state.obs))
 
     def reset(self, rng: jax.Array) -> State:
         return self._flat(self.inner.reset(rng))
@@ -90,7 +97,7 @@ def brax_training(env: pecjax.RoomsNavigation, rounds: int, between: Callable[[]
         num_timesteps=BATCH * BATCHES_A_TURN * (rounds + 1),
         num_evals=rounds + 2,
         run_evals=False,
-        episode_length=env.settings.max_steps,
+        episode_length=env.task.max_steps,
         num_envs=NUM_ENVS,
         unroll_length=NUM_STEPS,
         batch_size=NUM_ENVS // NUM_MINIBATCHES,
@@ -121,16 +128,15 @@ def rejax_training(env: pecjax.RoomsNavigation) -> Turn:
 
         @property
         def default_params(self):
-            return environment.EnvParams(max_steps_in_episode=env.settings.max_steps)
+            return environment.EnvParams(max_steps_in_episode=env.task.max_steps)
 
         def reset_env(self, key, params):
             state = env.reset(key)
-            return encode(state.obs, env.scene.camera.far), state
+            return flat(env, state.obs), state
 
         def step_env(self, key, state, action, params):
             state = env.step(state, action)
-            obs = encode(state.obs, env.scene.camera.far)
-            return obs, state, state.reward * 1e-3, state.done.astype(bool), {}
+            return flat(env, state.obs), state, state.reward * 1e-3, state.done.astype(bool), {}
 
         def observation_space(self, params):
             return spaces.Box(-10, 10, (int(np.prod(env.observation_size["depth"])) + 3,))
@@ -191,9 +197,9 @@ def sb3_training(env: pecjax.RoomsNavigation, num_envs: int) -> Turn:
 
 def our_training(env: pecjax.RoomsNavigation) -> Turn:
     """Ours, the preset `fast` with PEC, over all devices."""
-    settings = PPOSettings(num_envs=NUM_ENVS, num_steps=NUM_STEPS)
-    sampler = pec(env.configurations.size)
-    work = learning.training(env, sampler, workloads.device_mesh(), settings)
+    settings = agents.PPO(num_envs=NUM_ENVS, num_steps=NUM_STEPS)
+    sampler, world = pec(env.configurations.size), World(env.params, env.configurations)
+    work = learning.training(env.task, world, sampler, workloads.device_mesh(), settings)
 
     def turn() -> int:
         for _ in range(BATCHES_A_TURN):

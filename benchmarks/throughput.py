@@ -26,9 +26,9 @@ import workloads as w
 from workloads import Workload
 
 import pecjax
-from pecjax.agents.apex_update import ApexSettings
-from pecjax.agents.ppo_update import PPOSettings
+from pecjax.agents import PPO, Apex
 from pecjax.curriculum import pec, uniform
+from pecjax.envs.rooms import Rooms
 from pecjax.runtime.devices import use_all_cores
 from pecjax.runtime.provenance import environment_facts
 from pecjax.training.presets import PRESETS
@@ -57,27 +57,28 @@ def measure(group: Group, repeats: int) -> dict[str, float]:
 
 def training_parts() -> Group:
     """Control steps: C MuJoCo's physics first, which all others are held against."""
-    env, settings = pecjax.RoomsNavigation(pecjax.load_scene()), PPOSettings()
-    mesh, sampler = w.device_mesh(), pec(pecjax.COORDINATE_SET_1.size)
+    scene, settings = pecjax.load_scene(), PPO()
+    (task, world), mesh = Rooms().make(), w.device_mesh()
+    sampler = pec(world.table.size)
     batch = (settings.num_envs, settings.num_steps)
-    policy, update = learning.learner(env, mesh, settings)
+    policy, update = learning.learner(task, mesh, settings)
     return {
-        "C MuJoCo rollout, physics alone": w.c_physics(env, *batch),
-        "controller, MJX, wall distance": w.flight(env, mesh, *batch),
-        "environment alone": w.environment(env, sampler, mesh, *batch),
+        "C MuJoCo rollout, physics alone": w.c_physics(scene, *batch),
+        "controller, MJX, wall distance": w.flight(scene, mesh, *batch),
+        "environment alone": w.environment(task, world, sampler, mesh, *batch),
         "policy step": policy,
         "PPO update": update,
-        "PPO training end to end": learning.training(env, sampler, mesh, settings),
+        "PPO training end to end": learning.training(task, world, sampler, mesh, settings),
     }
 
 
 def environment_counts() -> Group:
     """Training end to end, by how many environments share a batch of one size."""
-    env, mesh = pecjax.RoomsNavigation(pecjax.load_scene()), w.device_mesh()
-    sampler = pec(pecjax.COORDINATE_SET_1.size)
+    (task, world), mesh = Rooms().make(), w.device_mesh()
+    sampler = pec(world.table.size)
     return {
         f"training, {num_envs} environments": learning.training(
-            env, sampler, mesh, PPOSettings(num_envs=num_envs, num_steps=16384 // num_envs)
+            task, world, sampler, mesh, PPO(num_envs=num_envs, num_steps=16384 // num_envs)
         )
         for num_envs in (512, 256, 1024, 2048)
     }
@@ -96,20 +97,21 @@ def depth_images(resolution: tuple[int, int]) -> Group:
 
 def devices() -> Group:
     """Training end to end on one device and on all."""
-    env, sampler = pecjax.RoomsNavigation(pecjax.load_scene()), pec(pecjax.COORDINATE_SET_1.size)
+    task, world = Rooms().make()
+    sampler = pec(world.table.size)
     return {
-        f"training, {number} device(s)": learning.training(env, sampler, w.device_mesh(number), PPOSettings())
+        f"training, {number} device(s)": learning.training(task, world, sampler, w.device_mesh(number), PPO())
         for number in (1, len(jax.devices()))
     }
 
 
 def samplers() -> Group:
     """Training end to end under uniform sampling and under PEC, and each sampler's own part of it."""
-    env, mesh = pecjax.RoomsNavigation(pecjax.load_scene()), w.device_mesh()
-    size = pecjax.COORDINATE_SET_1.size
+    (task, world), mesh = Rooms().make(), w.device_mesh()
+    size = world.table.size
     both = {"uniform": uniform(size), "PEC": pec(size)}
-    whole = {f"training, {k}": learning.training(env, s, mesh, PPOSettings()) for k, s in both.items()}
-    parts = {f"{k} alone": learning.sampling(s, size, mesh, PPOSettings()) for k, s in both.items()}
+    whole = {f"training, {k}": learning.training(task, world, s, mesh, PPO()) for k, s in both.items()}
+    parts = {f"{k} alone": learning.sampling(s, size, mesh, PPO()) for k, s in both.items()}
     return whole | parts
 
 
@@ -125,12 +127,12 @@ def large_curricula() -> Group:
 
 def apex_training() -> Group:
     """Ape-X end to end, against C MuJoCo's physics and PPO."""
-    env, mesh = pecjax.RoomsNavigation(pecjax.load_scene()), w.device_mesh()
-    sampler, settings = pec(pecjax.COORDINATE_SET_1.size), ApexSettings()
+    (task, world), mesh = Rooms().make(), w.device_mesh()
+    sampler, settings, scene = pec(world.table.size), Apex(), pecjax.load_scene()
     return {
-        "C MuJoCo rollout, physics alone": w.c_physics(env, settings.num_envs, settings.num_steps),
-        "PPO training end to end": learning.training(env, sampler, mesh, PPOSettings()),
-        "Ape-X training end to end": learning.training(env, sampler, mesh, settings),
+        "C MuJoCo rollout, physics alone": w.c_physics(scene, settings.num_envs, settings.num_steps),
+        "PPO training end to end": learning.training(task, world, sampler, mesh, PPO()),
+        "Ape-X training end to end": learning.training(task, world, sampler, mesh, settings),
     }
 
 
@@ -145,9 +147,9 @@ def replay_growth() -> Group:
 
 def studies() -> Group:
     """One training, and studies of several α in slices of so many runs."""
-    env = pecjax.RoomsNavigation(pecjax.load_scene())
-    sampler = pec(pecjax.COORDINATE_SET_1.size)
-    group = {"training, one run": learning.training(env, sampler, w.device_mesh(), PPOSettings())}
+    task, world = Rooms().make()
+    sampler = pec(world.table.size)
+    group = {"training, one run": learning.training(task, world, sampler, w.device_mesh(), PPO())}
     for number, at_once in ((2, 2), (5, 2), (4, 4)):
         alphas = tuple(0.1 * k for k in range(number))
         group[f"study of {number} α, {at_once} runs at once"] = trainings.study(alphas, at_once)

@@ -15,12 +15,18 @@ from jax.sharding import Mesh, PartitionSpec
 from mujoco import mjx, rollout as c_rollout
 
 import pecjax
-from pecjax.agents import AXIS, fleet_mesh
-from pecjax.agents.rollout import env_keys, init_rollout, rollout
+from pecjax import agents
+from pecjax.agents import AXIS
+from pecjax.agents.rollout import Policy, init_rollout, rollout
+from pecjax.agents.sharding import env_keys, global_ids
 from pecjax.curriculum import Sampler
+from pecjax.envs.rooms import RoomsTask
 from pecjax.envs.rooms.depth import depth_image, pixel_directions
 from pecjax.envs.rooms.flight import Command, fly, hover
+from pecjax.envs.rooms.rotations import quaternion_to_matrix
+from pecjax.envs.task import Task, World
 from pecjax.runtime.devices import num_cores
+from pecjax.training.build import everywhere
 
 SPREAD, SAME = PartitionSpec(AXIS), PartitionSpec()
 
@@ -51,16 +57,16 @@ def waiting(function: Callable, *args: object) -> Callable[[], object]:
     return lambda: jax.block_until_ready(function(*args))
 
 
-def c_physics(env: pecjax.RoomsNavigation, num_envs: int, num_steps: int) -> Workload:
+def c_physics(scene: pecjax.Scene, num_envs: int, num_steps: int) -> Workload:
     """C MuJoCo's `rollout` on every core: the same model and physics steps, and nothing else."""
-    model = env.scene.model
+    model, steps = scene.model, RoomsTask(scene.vehicle).physics_steps
     data = mujoco.MjData(model)
     mujoco.mj_resetData(model, data)
     state = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
     mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     initial = np.tile(state, (num_envs, 1))
-    hovering = env.scene.mass * 9.81 / model.nu
-    shape = (num_envs, num_steps * env.physics_steps, model.nu)
+    hovering = scene.vehicle.mass * 9.81 / model.nu
+    shape = (num_envs, num_steps * steps, model.nu)
     controls = np.random.default_rng(0).uniform(0.9 * hovering, 1.1 * hovering, shape)
     pool = c_rollout.Rollout(nthread=num_cores())
     threads = [mujoco.MjData(model) for _ in range(num_cores())]
@@ -68,8 +74,9 @@ def c_physics(env: pecjax.RoomsNavigation, num_envs: int, num_steps: int) -> Wor
     return Workload(run, num_envs * num_steps, "control steps/s")
 
 
-def flight(env: pecjax.RoomsNavigation, mesh: Mesh, num_envs: int, num_steps: int) -> Workload:
+def flight(scene: pecjax.Scene, mesh: Mesh, num_envs: int, num_steps: int) -> Workload:
     """Our controller, MJX and the distance to the walls."""
+    task = RoomsTask(scene.vehicle)
     start = jnp.tile(jnp.array([0.0, -2.0, 1.2]), (num_envs, 1))
     drones = jax.vmap(hover)(start, jnp.linspace(-3, 3, num_envs))
     keys = jax.random.split(jax.random.key(0), 2)
@@ -77,7 +84,8 @@ def flight(env: pecjax.RoomsNavigation, mesh: Mesh, num_envs: int, num_steps: in
     turns = jax.random.uniform(keys[1], (num_steps, num_envs), minval=-1.5, maxval=1.5)
 
     def one(drone, speed, turn):
-        return fly(env.scene, env.settings.gains, drone, Command(speed, turn, 1.2), env.physics_steps)
+        command = Command(speed, turn, 1.2)
+        return fly(scene.vehicle, scene.walls, task.settings.gains, drone, command, task.physics_steps)
 
     def many(drones, speeds, turns):
         return jax.lax.scan(lambda d, row: jax.vmap(one)(d, *row), drones, (speeds, turns))
@@ -100,15 +108,15 @@ def _poses(number: int) -> tuple[np.ndarray, np.ndarray]:
 
 def depth(scene: pecjax.Scene, mesh: Mesh, num_images: int) -> Workload:
     """Our depth images."""
-    pixels = scene.camera.height * scene.camera.width
+    camera = scene.vehicle.camera
     program = sharded(jax.vmap(partial(depth_image, scene)), mesh, (SPREAD, SPREAD), SPREAD)
     poses = [jnp.asarray(pose, jnp.float32) for pose in _poses(num_images)]
-    return Workload(waiting(program, *poses), num_images * pixels, "rays/s")
+    return Workload(waiting(program, *poses), num_images * camera.height * camera.width, "rays/s")
 
 
 def c_depth(scene: pecjax.Scene, num_images: int) -> Workload:
     """`mj_multiRay` on every core, one call an image."""
-    local = pixel_directions(scene.camera).reshape(-1, 3)
+    local = pixel_directions(scene.vehicle.camera).reshape(-1, 3)
     places, attitudes = _poses(num_images)
     drone = scene.model.body("drone").id
     number = len(local)
@@ -130,7 +138,7 @@ def c_depth(scene: pecjax.Scene, num_images: int) -> Workload:
 
 def mjx_depth(scene: pecjax.Scene, mesh: Mesh, num_images: int) -> Workload:
     """`mjx.ray`, batched over rays and images."""
-    local = jnp.asarray(pixel_directions(scene.camera).reshape(-1, 3), jnp.float32)
+    local = jnp.asarray(pixel_directions(scene.vehicle.camera).reshape(-1, 3), jnp.float32)
     # mjx.ray reads materials, and fails on a model that has none.
     spec = mujoco.MjSpec.from_string(
         "<mujoco><asset><material name='m'/></asset><worldbody>"
@@ -147,7 +155,7 @@ def mjx_depth(scene: pecjax.Scene, mesh: Mesh, num_images: int) -> Workload:
     physics, posed = mjx.put_model(model), mjx.put_data(model, data)
 
     def image(place, attitude):
-        rotation = pecjax.envs.rooms.rotations.quaternion_to_matrix(attitude)
+        rotation = quaternion_to_matrix(attitude)
         return jax.vmap(lambda ray: mjx.ray(physics, posed, place, rotation @ ray)[0])(local)
 
     program = sharded(jax.vmap(image), mesh, (SPREAD, SPREAD), SPREAD)
@@ -156,34 +164,34 @@ def mjx_depth(scene: pecjax.Scene, mesh: Mesh, num_images: int) -> Workload:
 
 
 def environment(
-    env: pecjax.RoomsNavigation, sampler: Sampler, mesh: Mesh, num_envs: int, num_steps: int
+    task: Task, world: World, sampler: Sampler, mesh: Mesh, num_envs: int, num_steps: int
 ) -> Workload:
-    """Our environment under random actions: flight, depth, reward, endings, resets, draws, tally."""
-    table = env.configurations
+    """Our environment under random actions: flight, depth, reward, endings, resets, draws, counts."""
 
     def random_actions(obs, chance):
-        return (chance * env.action_size).astype(jnp.int32), ()
+        return (chance * task.action_space.num_actions).astype(jnp.int32), ()
 
-    def batch(fleet, sampler_state, key):
-        num_local = fleet.config_id.shape[0]
-        ids = jax.lax.axis_index(AXIS) * num_local + jnp.arange(num_local)
-        fleet, trajectory, episodes = rollout(
-            env, table, sampler, sampler_state, random_actions, fleet, key, ids, num_steps
+    policy = Policy(jax.random.uniform, random_actions, lambda obs: jnp.zeros(num_envs))
+
+    def batch(world, envs, sampler_state, key):
+        ids = global_ids(envs.running.length.shape[0], AXIS)
+        envs, trajectory, episodes = rollout(
+            task, world, sampler, sampler_state, policy, envs, key, ids, num_steps
         )
         # A sum over every image, so that none is optimised away.
         seen = jax.lax.psum(trajectory.obs["depth"].sum() + trajectory.reward.sum(), AXIS)
-        return fleet, sampler.update(sampler_state, episodes.outcomes, AXIS), seen
+        return envs, sampler.update(sampler_state, episodes.outcomes, AXIS), seen
 
-    program = sharded(batch, mesh, (SPREAD, SAME, SAME), (SPREAD, SAME, SAME))
-    key = jax.random.key(0)
-    begin = jax.jit(partial(init_rollout, env, table, sampler, num_envs=num_envs))
-    fleet = begin(sampler_state=sampler.init(), key=key)
-    carry = [jax.device_put(fleet, jax.NamedSharding(mesh, SPREAD)), sampler.init(), 0]
+    program = sharded(batch, mesh, (SAME, SPREAD, SAME, SAME), (SPREAD, SAME, SAME))
+    key, world = jax.random.key(0), everywhere(world, mesh)
+    begin = jax.jit(lambda world, state: init_rollout(task, world, sampler, state, key, num_envs))
+    envs = begin(world, sampler.init())
+    carry = [jax.device_put(envs, jax.NamedSharding(mesh, SPREAD)), sampler.init(), 0]
 
     def run() -> None:
         carry[2] += 1
-        fleet, state, seen = program(carry[0], carry[1], env_keys(key, jnp.array([carry[2]]))[0])
-        carry[:2] = fleet, state
+        envs, state, seen = program(world, carry[0], carry[1], env_keys(key, jnp.array([carry[2]]))[0])
+        carry[:2] = envs, state
         jax.block_until_ready(seen)
 
     return Workload(run, num_envs * num_steps, "control steps/s")
@@ -191,4 +199,4 @@ def environment(
 
 def device_mesh(num_devices: int | None = None) -> Mesh:
     """All devices, or the first few."""
-    return fleet_mesh(num_devices or len(jax.devices()))
+    return agents.device_mesh(num_devices or len(jax.devices()))

@@ -31,6 +31,7 @@ import numpy as np
 from IPython.display import Image
 
 import pecjax
+from pecjax.envs.task import take_configs
 from pecjax.plotting import run as run_figures
 from pecjax.plotting.maps import floor_plan
 from pecjax.studies.catalogue import find_study
@@ -43,8 +44,8 @@ from pecjax.training.load import open_run
 # What is flown is a *configuration*: where to start and where to go. The paper's first set has twenty.
 
 # %%
-scene = pecjax.load_scene()
-for start, goal in list(zip(*pecjax.COORDINATE_SET_1, strict=True))[:4]:
+scene, table = pecjax.load_scene(), pecjax.COORDINATE_SET_1
+for start, goal in zip(table.start[:4], table.goal[:4], strict=True):
     print(f"from {start} m to {goal} m")
 
 # %% [markdown]
@@ -79,21 +80,24 @@ Image(folder / "figures" / "map.png", width=520)
 # %% [markdown]
 # ## Fly
 #
-# The environment is a Brax `Env` for one drone; the policy takes one observation.
+# The task is a few pure functions for one drone, and so is the policy.
 
 # %%
 trained = open_run(folder)
-env, act = trained.run.env, jax.jit(trained.policy())
-step, reset = jax.jit(env.step), jax.jit(env.reset_to)
+task, world, act = trained.run.task, trained.run.world, jax.jit(trained.policy())
+reset, observe, step = jax.jit(task.reset), jax.jit(task.observe), jax.jit(task.step)
 
-config = jax.tree.map(lambda leaf: leaf[18], pecjax.COORDINATE_SET_1)  # c18, through two doors
-state = reset(config, jax.random.key(0))
+config = take_configs(world.table, 18)  # c18, through two doors
+key, over = jax.random.key(0), False
+state = reset(key, config, world.params)
 seen, path = [], []
-while not state.done:
-    seen.append(np.asarray(state.obs["depth"]))
-    path.append(np.asarray(state.pipeline_state.qpos[:2]))
-    state = step(state, act(state.obs, jax.random.key(1)))
-print(f"{len(path)} steps, goal reached: {bool(state.metrics['goal'])}")
+while not over:
+    obs = observe(key, state, world.params)
+    seen.append(np.asarray(obs["depth"]) * task.vehicle.camera.far)  # networks are given shares of it
+    path.append(np.asarray(state.qpos[:2]))
+    after = step(key, state, act(obs, key), world.params)
+    state, over = after.state, bool(after.terminated)
+print(f"{len(path)} steps, goal reached: {bool(after.success)}")
 
 # %%
 figure, axes = plt.subplots(figsize=(5, 5))

@@ -35,6 +35,7 @@ from pecjax.plotting import study as study_figures
 from pecjax.studies import report as study_report
 from pecjax.studies.catalogue import find_study
 from pecjax.studies.run import run_study
+from pecjax.studies.tables import StudyTables, read_study
 
 # %% [markdown]
 # ## The grid
@@ -43,7 +44,8 @@ from pecjax.studies.run import run_study
 
 # %%
 study = dataclasses.replace(find_study("fig11", SCALE), at_once=len(jax.devices()))
-print(f"α in {study.alphas}, seeds {study.seeds}, {study.run.iterations} iterations each")
+alphas = study.values_of("sampler.alpha")
+print(f"α in {alphas}, seeds {study.seeds}, {study.run.stop.iterations} iterations each")
 
 # %%
 folder = Path("..") / "studies" / f"fig11-{SCALE}"
@@ -68,18 +70,18 @@ Image(folder / "figures" / "alpha.png", width=900)
 # ## Choose α and seeds
 
 # %%
-tables = study_report.read_study(folder)
+tables = read_study(folder)
 
 
 def show(alphas: tuple[float, ...], seeds: tuple[int, ...]) -> None:
     """The curves of the chosen runs."""
     chosen = (t[t.alpha.isin(alphas) & t.seed.isin(seeds)] for t in tables)
-    display(study_figures.goal_ratio(study_report.StudyTables(*chosen)))
+    display(study_figures.goal_ratio(StudyTables(*chosen)))
 
 
 ipywidgets.interactive(
     show,
-    alphas=ipywidgets.SelectMultiple(options=study.alphas, value=study.alphas[::2], description="α"),
+    alphas=ipywidgets.SelectMultiple(options=alphas, value=alphas[::2], description="α"),
     seeds=ipywidgets.SelectMultiple(options=study.seeds, value=study.seeds, description="seeds"),
 )
 # %% [markdown]

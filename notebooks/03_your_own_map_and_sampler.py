@@ -38,6 +38,7 @@ from pecjax.plotting import study as study_figures
 from pecjax.studies import report as study_report
 from pecjax.studies.catalogue import find_study
 from pecjax.studies.run import run_study
+from pecjax.training.settings import override
 
 # %% [markdown]
 # ## A new map
@@ -54,7 +55,7 @@ wall = '<geom name="mine" type="box" pos="0.5 -2.2 1.25" size="0.1 1.2 1.25"/>\n
 
 scene, pairs = load_scene(folder / "map.xml"), load_coordinates(str(folder / "pairs.csv"))
 check_coordinates(scene, pairs, flight_height=1.2)
-print(f"{len(scene.wall_names)} walls, {pairs.size} configurations, all can be flown")
+print(f"{len(scene.map.names)} walls, {pairs.size} configurations, all can be flown")
 
 # %% [markdown]
 # ## A new sampler
@@ -85,16 +86,20 @@ class Learnability(SamplerSettings):
 # Beside PEC and uniform sampling, paired by seed, in the new map:
 
 # %%
+study = find_study("fig4", SCALE)
+grid = {
+    "task.table": (str(folder / "pairs.csv"),),
+    "sampler": (f"{__name__}:Learnability", "pec", "uniform"),
+    "sampler.alpha": (0.2,),
+}
 study = dataclasses.replace(
-    find_study("fig4", SCALE),
+    study,
     name="own",
-    samplers=(f"{__name__}:Learnability", "pec", "uniform"),
-    coordinates=(str(folder / "pairs.csv"),),
+    run=override(study.run, scene=(str(folder / "map.xml"),), iterations=min(study.run.stop.iterations, 90)),
+    grid=tuple(grid.items()),
     seeds=(0, 1),
     at_once=len(jax.devices()),
 )
-run = dataclasses.replace(study.run, scene=str(folder / "map.xml"), iterations=min(study.run.iterations, 90))
-study = dataclasses.replace(study, run=run)
 run_study(study, folder / "study")
 print(study_report.write_report(folder / "study"))
 

@@ -2,8 +2,8 @@
 
     python tests/fuzz.py [--inputs 10000] [--seed 0]
 
-Scenes and coordinate files go through what `pecjax check` does with them, run folders through what
-`figures` and `eval` read first, checkpoints through what `eval` and `train --resume` do.
+Scenes and coordinate files go through what `pecjax check` does with them, run folders of this version and
+of 0.1 through what `figures` and `eval` read first, checkpoints through what `eval` and `train --resume` do.
 `test_untrusted_files.py` runs some hundreds of the same.
 """
 
@@ -27,14 +27,23 @@ from pecjax.envs.rooms import load_coordinates, load_scene
 from pecjax.envs.rooms.scene import default_scene_path
 from pecjax.envs.rooms.validity import check_coordinates
 from pecjax.plotting.run import _COLUMNS
+from pecjax.storage.arrays import write_arrays
 from pecjax.storage.tables import read_table
 from pecjax.studies.directory import StudyDirectory
 from pecjax.training.checkpoint import Checkpoints
 from pecjax.training.run_directory import RunDirectory
+from pecjax.training.run_tables import configuration_table, trajectory_table
 
 SECONDS = 20  # of processor time that one input may take, whatever else the machine does
 PATIENCE = 300  # seconds by the clock after which it counts as hung
 LEARNER = {"params": {"w": np.ones((7, 5), np.float32), "b": np.zeros(5, np.float32)}, "updates": np.array(3)}
+SETTINGS_0_1 = {
+    "preset": "fast", "algorithm": "apex", "ppo": {"num_envs": 8, "clip": 0.2, "network": {"hidden": [8, 9]}},
+    "apex": {"num_envs": 8, "fragment": 2, "huber": 1.0, "replay": {"capacity": 64}}, "resolution": [20, 10],
+    "sampler": "pec", "alpha": 0.2, "coordinates": "1", "scene": "my.xml", "seed": 0, "iterations": 9,
+    "until_goal_ratio": 0.9, "patience": 5, "evaluate_every": 5, "evaluation_episodes": 20,
+    "evaluation_seed": 2022, "greedy": True, "configurations_every": 10,
+}  # fmt: skip
 _TIMERS = {signal.ITIMER_PROF: (signal.SIGPROF, SECONDS), signal.ITIMER_REAL: (signal.SIGALRM, PATIENCE)}
 NUMBERS = ["nan", "inf", "-1", "0", "1e308", "1e-300", "9" * 40, "", "x", "1 2 3 4 5 6 7 8 9", "-0.0", "1e9"]
 PIECES = [
@@ -110,16 +119,20 @@ def coordinates_input(folder: Path, rng: random.Random, scene: pecjax.envs.rooms
 def run_input(folder: Path, rng: random.Random, run: Path) -> None:
     copy = folder / "run"
     shutil.rmtree(copy, ignore_errors=True)
-    copy.mkdir()
-    names = ["config.json", "coordinates.csv", "study.json", *(f"{name}.csv" for name in _COLUMNS)]
-    spoilt = rng.choice(names)
-    for name in names:
-        text = (run / name).read_text()
-        (copy / name).write_bytes(mutate(text, rng) if name == spoilt else text.encode())
+    shutil.copytree(run / "of 0.1" if rng.random() < 0.3 else run, copy)
+    texts = sorted(path for path in copy.iterdir() if path.suffix in (".json", ".csv"))
+    kept = sorted(path for name in ("configurations", "episodes") for path in (copy / name).glob("*.npz"))
+    spoilt = rng.choice([*texts, *kept])
+    if spoilt.suffix == ".npz":
+        spoilt.write_bytes(mutate_bytes(spoilt.read_bytes(), rng))
+    else:
+        spoilt.write_bytes(mutate(spoilt.read_text(), rng))
     directory = RunDirectory(copy)
-    directory.settings(), directory.table(), StudyDirectory(copy).settings()
+    directory.settings(), directory.num_devices(), directory.check_version()
+    directory.task().configurations(), StudyDirectory(copy).settings()
     for name, columns in _COLUMNS.items():
         read_table(copy / f"{name}.csv", columns)
+    configuration_table(directory), trajectory_table(directory)
 
 
 def mutate_bytes(content: bytes, rng: random.Random) -> bytes:
@@ -207,24 +220,41 @@ def fuzz(inputs: int, seed: int, run: Path) -> Counter:
 
 
 def sample_run(folder: Path) -> Path:
-    """The files of a small run and a small study, as they would be written."""
+    """The files of a small run and a small study, as they would be written, and those of 0.1 below them."""
     from pecjax import settings_tree
     from pecjax.envs.configuration_files import table_text
     from pecjax.storage import files as plain_files
     from pecjax.studies.catalogue import find_study
     from pecjax.training.presets import PRESETS
 
-    folder.mkdir(parents=True, exist_ok=True)
-    config = {"settings": settings_tree.to_json(PRESETS["fast"])}
-    (folder / "config.json").write_text(plain_files.json_text(config))
-    study = {"settings": settings_tree.to_json(find_study("fig4"))}
-    (folder / "study.json").write_text(plain_files.json_text(study))
+    former = folder / "of 0.1"
+    former.mkdir(parents=True, exist_ok=True)
+    for name, content in (("config", PRESETS["fast"]), ("study", find_study("fig4"))):
+        text = plain_files.json_text({"settings": settings_tree.to_json(content)})
+        (folder / f"{name}.json").write_text(text)
+    (former / "config.json").write_text(plain_files.json_text({"settings": SETTINGS_0_1}))
+    study = {"name": "s", "run": SETTINGS_0_1, "samplers": ["pec", "uniform"], "grid": [["ppo.clip", [0.1]]]}
+    (former / "study.json").write_text(plain_files.json_text({"settings": study}))
     Checkpoints(folder).save_learner(3, LEARNER)
     table = table_text(pecjax.COORDINATE_SET_1)
-    (folder / "coordinates.csv").write_text(table)
-    for name, columns in _COLUMNS.items():
-        rows = [dict.fromkeys(sorted(columns), number * 0.5) for number in range(4)]
-        (folder / f"{name}.csv").write_text(plain_files.csv_text(rows))
+    both = (folder, former)
+    for one in both:
+        (one / "coordinates.csv").write_text(table)
+        for name, columns in _COLUMNS.items():
+            rows = [dict.fromkeys(sorted(columns), number * 0.5) for number in range(4)]
+            (one / f"{name}.csv").write_text(plain_files.csv_text(rows))
+    counts = {name: np.arange(20) for name in ("trials", "failures", "probability")}
+    flights = {
+        "config_id": np.arange(3), "success": np.ones(3, bool), "return": np.zeros(3),
+        "length": np.array([2, 0, 1]), "path_episode": np.arange(2), "paths": np.zeros((2, 3, 2)),
+    }  # fmt: skip
+    write_arrays(folder / "configurations" / "3.npz", counts)
+    write_arrays(folder / "episodes" / "3.npz", flights)
+    for name in ("iteration,config,trials,failures,probability", "episode,config,goal,step,x,y"):
+        file = "configurations" if name.startswith("iteration") else "trajectories"
+        width = name.count(",") + 1
+        rows = "".join(",".join(str(n + 0.5 * c) for c in range(width)) + "\n" for n in range(4))
+        (former / f"{file}.csv").write_text(f"{name}\n{rows}")
     return folder
 
 

@@ -17,6 +17,9 @@ from pecjax import cli
 from pecjax.runtime import distributed as processes
 from pecjax.studies.catalogue import find_study
 from pecjax.training import train as training
+from pecjax.training.run_directory import RunDirectory
+from pecjax.training.run_tables import configuration_table
+from pecjax.training.settings import override
 
 pytestmark = pytest.mark.slow
 
@@ -40,14 +43,16 @@ devices.use_all_cores = lambda: jax.config.update("jax_num_cpu_devices", 2)
 devices.keep_compiled_programs = lambda: None
 for preset, study in (("fast", "fig4"), ("apex-fast", "fig14")):
     smoke = studies.find_study(study, "smoke").run
-    presets.PRESETS[preset] = replace(smoke, evaluation_episodes=6, configurations_every=3)
+    evaluation = replace(smoke.evaluation, episodes=6)
+    presets.PRESETS[preset] = replace(smoke, evaluation=evaluation, configurations_every=3)
 if index != "alone":
     args += ["--coordinator", f"localhost:{port}", "--num-processes", "2", "--process-id", index]
 sys.exit(cli.main(["train", *args]))
 """
+SMOKE = {agent: find_study(study, "smoke").run for agent, study in (("ppo", "fig4"), ("apex", "fig14"))}
 SETTINGS = {
-    algorithm: replace(find_study(study, "smoke").run, evaluation_episodes=6, configurations_every=3)
-    for algorithm, study in (("ppo", "fig4"), ("apex", "fig14"))
+    agent: replace(run, evaluation=replace(run.evaluation, episodes=6), configurations_every=3)
+    for agent, run in SMOKE.items()
 }
 SECONDS_TO_NOTICE = 60
 
@@ -114,12 +119,12 @@ def wait_for(pattern, folder, both):
 
 @pytest.fixture(scope="module")
 def alone(folders):
-    """(algorithm) -> the folder of the same training in this process, on as many devices."""
+    """(agent) -> the folder of the same training in this process, on as many devices."""
 
     @functools.cache
-    def alone(algorithm):
-        training.train(replace(SETTINGS[algorithm], iterations=4), folders / algorithm, devices=4)
-        return folders / algorithm
+    def alone(agent):
+        training.train(override(SETTINGS[agent], iterations=4), folders / agent, devices=4)
+        return folders / agent
 
     return alone
 
@@ -131,7 +136,9 @@ def assert_as_alone(folder, alone):
         found, wanted = (read[f][name].drop(columns=drop) for f in (folder, alone))
         pd.testing.assert_frame_equal(found, wanted, rtol=2e-4, atol=1e-5)
     counts = ["iteration", "config", "trials", "failures"]
-    assert read[folder]["configurations"][counts].equals(read[alone]["configurations"][counts])
+    found, wanted = (configuration_table(RunDirectory(f)) for f in (folder, alone))
+    assert found[counts].equals(wanted[counts]) and wanted.iteration.unique().tolist() == [1, 3, 4]
+    np.testing.assert_allclose(found.probability, wanted.probability, rtol=1e-6)
     for path in sorted(alone.rglob("*.npz")):
         with np.load(path) as wanted, np.load(folder / path.relative_to(alone)) as found:
             assert found.files == wanted.files
@@ -141,21 +148,21 @@ def assert_as_alone(folder, alone):
                     np.testing.assert_allclose(found[name], wanted[name], rtol=1e-3, atol=1e-5)
 
 
-TABLES = ("metrics", "evaluation", "configurations")
+TABLES = ("metrics", "evaluation")
 
 
-@pytest.mark.parametrize("algorithm", SETTINGS)
-def test_two_processes_train_as_one(algorithm, start, alone, tmp_path):
+@pytest.mark.parametrize("agent", SETTINGS)
+def test_two_processes_train_as_one(agent, start, alone, tmp_path):
     """And go on together from where they came to."""
     folder = tmp_path / "run"
-    args = ["--algorithm", algorithm, "--iterations", "2", "--out", str(folder)]
+    args = ["--agent", agent, "--iterations", "2", "--out", str(folder)]
     assert exit_codes(start(args, args)) == [0, 0]
     args = ["--iterations", "4", "--out", str(folder), "--resume"]
     both = start(args, args)
     assert exit_codes(both) == [0, 0]
     assert "goal ratio" in both[0].out.read_text()
     assert "goal ratio" not in both[1].out.read_text() + both[1].err.read_text()  # the lead speaks
-    assert_as_alone(folder, alone(algorithm))
+    assert_as_alone(folder, alone(agent))
     assert len(list((folder / "figures").glob("*.png"))) == 5
 
 
@@ -172,7 +179,7 @@ def test_a_process_that_dies_ends_the_others_and_the_run_goes_on(struck, start, 
     # What is there is whole: this process alone goes on from it, on as many devices.
     done = max(int(path.stem) for path in folder.glob("states/[0-9]*.npz"))
     last = max(done + 1, 4)
-    training.resume(replace(SETTINGS["ppo"], iterations=last), folder)
+    training.resume(override(SETTINGS["ppo"], iterations=last), folder)
     metrics = pd.read_csv(folder / "metrics.csv")
     assert metrics.iteration.tolist() == list(range(1, last + 1))
     found, wanted = (
@@ -200,7 +207,7 @@ def test_ctrl_c_ends_a_process_that_is_alone_with_130(start, tmp_path):
     wait_for("evaluation.csv", folder, begun)
     begun[0].process.send_signal(signal.SIGINT)
     assert exit_codes(begun, 120) == [130]
-    assert f"go on with pecjax train --resume --out {folder}" in begun[0].only_line()
+    assert f"resume with pecjax train --resume --out {folder}" in begun[0].only_line()
 
 
 @pytest.mark.parametrize(

@@ -518,7 +518,7 @@ def test_another_run_is_refused_and_the_difference_named(whole, tmp_path, monkey
     monkeypatch.setattr("importlib.metadata.version", lambda _: "0.0.1")
     for folder, words in (
         (whole(PPO, 1), "run of another"),
-        (silent, "6.npz: belongs to a run that differs in"),
+        (silent, "6.npz: .* differs in"),
     ):
         with pytest.raises(pecjax.InputError, match=rf"{words} version \('.*' there, '0.0.1' here\)"):
             training.resume(override(PPO, iterations=9), folder)
