@@ -21,6 +21,8 @@ from pecjax.runtime import devices
 from pecjax.storage.arrays import CorruptFileError, read_arrays, write_arrays
 from pecjax.training.build import build
 from pecjax.training.presets import PRESETS
+from pecjax.training.run_directory import RunDirectory
+from pecjax.training.run_tables import configuration_table, trajectory_table
 
 BOMB = """<!DOCTYPE lolz [<!ENTITY a "lol"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">
 <!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;"><!ENTITY d "&c;&c;&c;&c;&c;&c;&c;&c;&c;&c;">]>
@@ -249,6 +251,11 @@ def test_a_control_period_of_a_hundred_million_steps(edited_rooms):
         ("evaluation.episodes", 10**6, "episodes is 1000000; 100,000 is the most"),
         ("stop.iterations", 10**20, "iterations is 100000000000000000000; 2,147,483,647 is the most"),
         ("configurations_every", 0, "configurations-every is 0"),
+        ("task.max_steps", 10**9, "max-steps is 1000000000; 1,000,000 is the most"),
+        ("task.control_period", float("nan"), "control-period is nan; it must be finite"),
+        ("task.gains.height", float("inf"), "height is inf; it must be finite"),
+        ("sampler.alpha", -1, "alpha is -1"),
+        ("evaluation.seed", -1, "seed is -1"),
     ],
 )
 def test_absurd_settings_of_a_strangers_run_are_refused(path, value, words, tmp_path, capsys, monkeypatch):
@@ -325,6 +332,48 @@ def test_a_changed_header_makes_a_file_corrupt_and_not_anothers(tmp_path):
             read_arrays(path, WANTED, {"seed": 1})
     path.write_bytes(content)
     np.testing.assert_array_equal(read_arrays(path, WANTED, {"seed": 1})["w"], WANTED["w"])
+
+
+KEPT = {
+    "configurations": {name: np.arange(3) for name in ("trials", "failures", "probability")},
+    "episodes": {
+        "config_id": np.arange(3), "success": np.ones(3, bool), "return": np.zeros(3),
+        "length": np.array([2, 0, 1]), "path_episode": np.arange(2), "paths": np.zeros((2, 3, 2)),
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "changed"),
+    [
+        ("configurations", {"trials": None}),
+        ("configurations", {"failures": np.zeros(4)}),
+        ("configurations", {"probability": np.zeros((3, 3))}),
+        ("configurations", {"trials": np.zeros(())}),
+        ("configurations", {"trials": np.array(["one", "two", "three"])}),
+        ("configurations", {"failures": np.full(3, np.nan)}),
+        ("episodes", {"length": None}),
+        ("episodes", {"paths": None}),
+        ("episodes", {"length": np.array([2, 5, 1])}),
+        ("episodes", {"length": np.array([2, 10**18, 1])}),
+        ("episodes", {"path_episode": np.array([1, 7])}),
+        ("episodes", {"path_episode": np.array([0.5, 1])}),
+        ("episodes", {"path_episode": np.zeros(0, int), "paths": np.zeros((0, 3, 2))}),
+        ("episodes", {"paths": np.zeros((2, 3))}),
+        ("episodes", {"paths": np.zeros(())}),
+        ("episodes", {"success": np.array(["no", "no", "no"])}),
+    ],
+)
+def test_arrays_of_another_kind_are_no_tables(name, changed, tmp_path):
+    directory = RunDirectory(tmp_path)
+    make = configuration_table if name == "configurations" else trajectory_table
+    directory.write_arrays(name, 4, KEPT[name])
+    assert len(make(directory)) == (3 if name == "configurations" else 4)
+    arrays = KEPT[name] | changed
+    directory.write_arrays(name, 4, {part: array for part, array in arrays.items() if array is not None})
+    with pytest.raises(pecjax.InputError, match=rf"{name}.*; train") as error:
+        make(directory)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 500
 
 
 @pytest.mark.slow

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+
 import numpy as np
 import pandas as pd
 
@@ -21,12 +24,13 @@ def configuration_table(run: RunDirectory) -> pd.DataFrame:
         return read_table(run.folder / "configurations.csv", set(columns[:-1]))
     parts = []
     for iteration in run.iterations("configurations"):
-        arrays = run.arrays("configurations", iteration)
-        config = np.arange(len(arrays["trials"]))
-        parts.append(pd.DataFrame({"iteration": iteration, "config": config, **arrays}))
+        with _arrays(run, "configurations", iteration) as arrays:
+            config = np.arange(len(arrays["trials"]))
+            table = pd.DataFrame({"iteration": iteration, "config": config, **arrays})[columns]
+            parts.append(table.astype({"trials": int, "failures": int, "probability": float}))
     if not parts:
         raise InputError(f"{run.folder / 'configurations'}: missing; train the run to its end")
-    return pd.concat(parts, ignore_index=True).loc[:, columns]
+    return pd.concat(parts, ignore_index=True)
 
 
 def trajectory_table(run: RunDirectory) -> pd.DataFrame:
@@ -40,17 +44,36 @@ def trajectory_table(run: RunDirectory) -> pd.DataFrame:
         table = read_table(run.folder / "trajectories.csv", columns | {"goal"})
         return table.rename(columns={"goal": "success"})
     kept = run.iterations("episodes")
-    last = run.arrays("episodes", kept[-1]) if kept else {}
-    if "paths" not in last:
+    if not kept or "paths" not in run.arrays("episodes", kept[-1]):
         raise InputError(f"{run.folder / 'episodes'}: no flights of a finished run; train it to its end")
     parts = []
-    for episode, path in zip(last["path_episode"], last["paths"], strict=True):
-        length = int(last["length"][episode]) + 1
-        flight = {
-            "episode": episode,
-            "config": last["config_id"][episode],
-            "success": last["success"][episode],
-        }
-        steps = {"step": np.arange(length), "x": path[:length, 0], "y": path[:length, 1]}
-        parts.append(pd.DataFrame(flight | steps))
-    return pd.concat(parts, ignore_index=True).astype({"success": int})
+    with _arrays(run, "episodes", kept[-1]) as last:
+        for episode, path in zip(last["path_episode"], last["paths"], strict=True):
+            length = int(last["length"][episode]) + 1
+            if len(path[:length]) != length:
+                raise ValueError(f"episode {episode} has no {length} positions")
+            flight = {
+                "episode": episode,
+                "config": last["config_id"][episode],
+                "success": last["success"][episode],
+            }
+            steps = {"step": np.arange(length), "x": path[:length, 0], "y": path[:length, 1]}
+            parts.append(pd.DataFrame(flight | steps))
+        kinds = {"episode": int, "config": int, "success": int, "x": float, "y": float}
+        return pd.concat(parts, ignore_index=True).astype(kinds)
+
+
+@contextlib.contextmanager
+def _arrays(run: RunDirectory, name: str, iteration: int) -> Iterator[dict[str, np.ndarray]]:
+    """The arrays that a run has kept.
+
+    Raises:
+        InputError: they cannot be read, or what is made of them meanwhile cannot be made of them.
+    """
+    try:
+        yield run.arrays(name, iteration)
+    except InputError:
+        raise
+    except (KeyError, IndexError, ValueError, TypeError) as error:
+        path = run.folder / name / f"{iteration}.npz"
+        raise InputError(f"{path}: not the arrays of a run ({error!r}); train again") from error
