@@ -147,6 +147,57 @@ def test_the_sampler_that_the_docs_show_trains_resumes_and_evaluates(tmp_path, m
     assert "../run/config.json: mine:Learnability: cannot be imported" in capsys.readouterr().err
 
 
+@pytest.mark.slow
+def test_a_folder_of_maps_is_checked_flown_kept_and_drawn(edited_rooms, tmp_path, monkeypatch, capsys):
+    """The second of them lacks a wall, and both are gone by the time the run is looked at."""
+    monkeypatch.chdir(tmp_path)
+    text = default_scene_path().read_text()
+    wall = next(line for line in text.splitlines() if 'name="west_b"' in line)
+    Path("maps").mkdir()
+    Path("maps/a.xml").write_text(text)
+    Path("maps/b.xml").write_text(text.replace(wall, ""))
+    Path("pairs.csv").write_text("start_x start_y goal_x goal_y map\n0 0 1 0 1\n0 -2 0.7 -2 0\n0 0 1 0 0\n")
+    world = ["--scene", "maps", "--coordinates", "pairs.csv"]
+    assert main(["check", *world, "--out", "map"]) == 0
+    assert capsys.readouterr().out.startswith("2 maps, the first of 14 walls, 3 configurations: every one")
+    assert main([*TRAIN, *world]) == 0
+    assert {path.name for path in Path("run/maps").iterdir()} == {"0.xml", "1.xml"}
+    shutil.rmtree("maps")
+    capsys.readouterr()
+    assert main(["eval", "run", "--episodes", "6"]) == 0
+    lines = capsys.readouterr().out.splitlines()[1:]
+    assert [re.search(r"in map (\d)", line)[1] for line in lines] == ["1", "0", "0"]
+    assert main(["figures", "run"]) == 0 and "run/figures/map.png" in capsys.readouterr().out
+    assert main(["train", "--resume", "--out", "run", "--iterations", "3"]) == 0
+    Path("run/maps/1.xml").unlink()
+    assert main(["eval", "run"]) == 2
+    assert "configuration 0: there is no map 1; the maps are 0 to 0" in capsys.readouterr().err
+
+
+def test_a_task_of_ones_own_trains_resumes_evaluates_and_is_drawn(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path, str(ROOT / "examples")])
+    own = ["--task", "own_task:PuckSettings"]
+    assert main([*TRAIN, *own, "--task.number", "3", "--evaluation.episodes", "6"]) == 0
+    settings = json.loads(Path("run/config.json").read_text())["settings"]
+    assert settings["task"] == {"kind": "own_task:PuckSettings", "number": 3}
+    assert "effort" in pd.read_csv("run/metrics.csv") and "effort" in pd.read_csv("run/evaluation.csv")
+    assert main(["train", "--resume", "--out", "run", "--iterations", "3"]) == 0
+    # It has nothing that could be drawn on a map.
+    drawn = {path.stem for path in Path("run/figures").iterdir()}
+    assert drawn == {"goal_ratio", "configurations", "spread", "evaluation"}
+    capsys.readouterr()
+    assert main(["eval", "run", "--episodes", "6"]) == 0
+    assert [line.split()[:2] for line in capsys.readouterr().out.splitlines()[1:]] == [
+        ["c0", "0"], ["c1", "1"], ["c2", "2"]
+    ]  # fmt: skip
+    assert main([*TRAIN[:-1], "other", *own, "--coordinates", "2"]) == 2
+    assert "the task own_task:PuckSettings has no table; leave out --coordinates" in capsys.readouterr().err
+    assert main(["train", *own, "--agent", "apex", "--out", "other"]) == 2
+    assert "apex needs discrete actions" in capsys.readouterr().err
+    assert not Path("other").exists()
+
+
 @pytest.mark.parametrize("coordinates", ["1", "2"])
 def test_check_passes_the_papers_sets_and_draws_them(coordinates, tmp_path, capsys):
     assert main(["check", "--coordinates", coordinates, "--out", str(tmp_path / "map")]) == 0
@@ -317,6 +368,10 @@ def test_a_goal_that_no_path_reaches(command, edited_rooms, refused):
         (["--sampler", "bandit"], ["unknown sampler 'bandit'", "pec", "uniform"]),
         (["--preset", "slow"], ["unknown preset 'slow'", "fast", "rllib085"]),
         (["--coordinates", "3"], ["'3'"]),
+        (["--task", "room"], ["unknown task 'room' (did you mean rooms?)"]),
+        (["--agent", "no.such:Agent"], ["no.such:Agent: cannot be imported"]),
+        (["--scene", "."], ["no MJCF file (*.xml) in this folder"]),
+        (["--algorithm", "apex"], ["unknown option --algorithm"]),
         (["--agent", "sac"], ["unknown agent 'sac'", "ppo", "apex"]),
         (["--agent", "apex", "--preset", "rllib085"], ["preset 'rllib085' trains with ppo"]),
         (["--agent", "apex", "--num-envs", "6"], ["4 shards do not divide 6 environments"]),
@@ -473,8 +528,11 @@ def test_evaluations_that_cannot_be_flown(run, tmp_path, refused):
         ("eval", "scene.xml"),
         ("eval", "coordinates.csv"),
         ("figures", "metrics.csv"),
+        ("figures", "evaluation.csv"),
         ("figures", "episodes"),
+        ("figures", "configurations"),
         ("figures", "scene.xml"),
+        ("figures", "coordinates.csv"),
     ],
 )
 def test_a_run_that_has_lost_a_part(command, lost, run, tmp_path, refused):

@@ -214,6 +214,7 @@ def test_ctrl_c_ends_a_process_that_is_alone_with_130(start, tmp_path):
     ("args", "lines"),
     [
         ((["--seed", "1"], ["--seed", "2"]), ["settings that differ"] * 2),
+        ((["--coordinates", "1"], ["--coordinates", "2"]), ["settings that differ"] * 2),
         ((["--alpha", "0.1"], ["--alpha", "-1"]), ["another process could not begin", "alpha is -1"]),
     ],
 )

@@ -3,8 +3,12 @@
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, FancyArrowPatch
 
-from pecjax.plotting import run as run_figures
+from pecjax.envs.rooms.scene import default_scene_path
+from pecjax.envs.rooms.settings import Rooms
+from pecjax.plotting import maps, run as run_figures
 from pecjax.plotting.configurations import configurations
 
 
@@ -66,3 +70,43 @@ def test_ticks_stand_at_configurations_that_exist(size):
         assert ticks and set(ticks) <= set(range(size))
         marks = [line for line in axes.lines if line.get_marker() == "o"]
         assert all(not line.get_clip_on() for line in marks)
+
+
+@pytest.fixture(scope="module")
+def two_maps(tmp_path_factory):
+    """The six rooms twice; configurations 1, 3 and 4 are in the first."""
+    path = tmp_path_factory.mktemp("maps") / "pairs.csv"
+    path.write_text(
+        "start_x start_y goal_x goal_y map\n0 0 1 0 1\n0 -2 0.7 -2 0\n0 -2 0.7 -2 1\n0 0 2 0 0\n0 -2 2 -2 0\n"
+    )
+    return Rooms(table=str(path), maps=(str(default_scene_path()),) * 2)
+
+
+def names_on(axes):
+    return {text.get_text() for text in axes.texts}
+
+
+def test_of_several_maps_the_first_is_drawn_with_what_is_in_it(two_maps):
+    flights = pd.DataFrame(
+        [
+            {"episode": 10 + config, "config": config, "success": config % 2, "step": step, "x": x, "y": 0.5}
+            for config in range(5)
+            for step, x in enumerate((config, config + 0.25))
+        ]
+    )
+    (axes,) = run_figures._first_map(two_maps, flights).axes
+    assert names_on(axes) == {"c1,c4", "c3"}  # by their own numbers
+    drawn = [line.get_xdata()[0] for line in axes.lines if len(line.get_xdata()) == 2]
+    assert drawn == [1, 3, 4] and axes.get_title().startswith("2 of 3 flights")
+    goals = {patch.center for patch in axes.patches if isinstance(patch, Circle)}
+    assert goals == {(np.float32(0.7).item(), -2), (2, 0), (2, -2)}
+
+
+def test_goal_ratios_of_several_maps_keep_to_their_configurations(two_maps):
+    axes = Figure().subplots()
+    ratios = np.array([0.1, 0.9, 0.2, 0.6, 0.7])
+    shade = maps.success(axes, two_maps.scenes()[0], two_maps.configurations(), ratios, two_maps)
+    arrows = [patch for patch in axes.patches if isinstance(patch, FancyArrowPatch)]
+    colors = [arrow.get_facecolor() for arrow in arrows]
+    np.testing.assert_allclose(colors, shade.to_rgba(ratios[[1, 3, 4]]))
+    assert names_on(axes) == {"c1,c4", "c3"}

@@ -6,12 +6,9 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from pecjax.commands.drawing import draw_map
 from pecjax.commands.options import Option
 from pecjax.envs.rooms.settings import Rooms
-from pecjax.envs.task import take_configs
 
 
 @dataclass(frozen=True)
@@ -36,7 +33,7 @@ class Check:
             print(f"pecjax: notice: {line}", file=sys.stderr)
         stem = self.out.with_suffix("") if self.out.suffix in (".png", ".svg") else self.out
         scenes, table = task.scenes(), task.configurations()
-        paths = draw_map(scenes[0], take_configs(table, np.flatnonzero(table.map_id == 0)), stem)
+        paths = draw_map(scenes[0], table, stem)
         walls = len(scenes[0].map.names)
         maps = f"{walls} walls" if len(scenes) == 1 else f"{len(scenes)} maps, the first of {walls} walls"
         print(

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch, Patch, Rectangle
 
+from pecjax.envs.axes import fill
 from pecjax.envs.rooms.config import Configurations
 from pecjax.envs.rooms.scene import Scene
 from pecjax.envs.rooms.task import NavigationSettings
@@ -41,6 +42,7 @@ def rooms(
     """The map with its configurations and, if any, flown trajectories (Fig. 2-3).
 
     Args:
+        scene: the first of the task's maps; configurations in others are left out.
         trajectories: columns episode, success, x and y, a row a step.
         rules: of the task.
     """
@@ -59,7 +61,7 @@ def rooms(
             f"{int(flights.sum())} of {len(flights)} flights reach their goal (× where one ends otherwise)",
             fontsize=9,
         )
-    for start, goal in zip(np.asarray(table.start), np.asarray(table.goal), strict=True):
+    for start, goal in _ways(table).values():
         way = {"linestyle": ":", "linewidth": 0.6, "color": "0.6", "shrinkA": 0, "shrinkB": 3}
         axes.add_patch(FancyArrowPatch(start, goal, arrowstyle="-|>", mutation_scale=7, zorder=1, **way))
     _places(axes, table, rules)
@@ -94,13 +96,18 @@ def success(
 
     A pair and its reverse bend apart, each to the right of its way.
 
+    Args:
+        scene: as for `rooms`.
+        ratios: (N,), of all configurations.
+
     Returns:
         what a colour bar needs.
     """
     colors = LinearSegmentedColormap.from_list("dark", viridis(np.linspace(0, 0.85, 64)))
     shade = ScalarMappable(Normalize(0.5, 1), colors)
     floor_plan(axes, scene, rules)
-    for start, goal, ratio in zip(np.asarray(table.start), np.asarray(table.goal), ratios, strict=True):
+    for row, (start, goal) in _ways(table).items():
+        ratio = ratios[row]
         arrow = FancyArrowPatch(
             start,
             goal,
@@ -140,17 +147,24 @@ def _wall_style(scene: Scene, height: float, lower: np.ndarray, upper: np.ndarra
     return COVER if covered > 0.5 else PASSED
 
 
+def _ways(table: Configurations) -> dict[int, Any]:
+    """Start and goal (2,) m of each configuration in the first map, by its number."""
+    rows = np.flatnonzero(np.asarray(fill(table).map_id) == 0)
+    return {row: (np.asarray(table.start)[row], np.asarray(table.goal)[row]) for row in rows.tolist()}
+
+
 def _places(axes: Axes, table: Configurations, rules: NavigationSettings) -> None:
     """Marks every start by a dot with its configurations, and every goal by the circle to be reached."""
     starts: dict[tuple[float, float], list[int]] = {}
-    for row, start in enumerate(np.asarray(table.start)):
+    ways = _ways(table)
+    for row, (start, _) in ways.items():
         starts.setdefault((float(start[0]), float(start[1])), []).append(row)
     for place, rows in starts.items():
         axes.plot(*place, "o", color=GOAL, markersize=5)
-        if len(table.start) > MOST_NAMES:
+        if len(ways) > MOST_NAMES:
             continue
         name = ",".join(f"c{row}" for row in rows)
         axes.annotate(name, place, textcoords="offset points", xytext=(4, 5), fontsize=7, color=GOAL)
-    for x, y in np.unique(np.asarray(table.goal), axis=0):
+    for x, y in sorted({(float(x), float(y)) for _, (x, y) in ways.values()}):
         radius = rules.goal_radius
         axes.add_patch(Circle((x, y), radius, facecolor="none", edgecolor=GOAL, linewidth=0.6, zorder=1.5))

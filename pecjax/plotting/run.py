@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pecjax.envs.rooms.settings import Rooms
-from pecjax.envs.task import take_configs
 from pecjax.plotting.configurations import configurations
 from pecjax.plotting.maps import rooms
 from pecjax.plotting.style import (
@@ -65,7 +64,7 @@ def _first_map(task: Rooms, trajectories: pd.DataFrame) -> Figure:
     table = task.configurations()
     inside = np.flatnonzero(np.asarray(table.map_id) == 0)
     flown = trajectories.loc[trajectories.config.isin(inside)]
-    return rooms(task.scenes()[0], take_configs(table, inside), flown, task)
+    return rooms(task.scenes()[0], table, flown, task)
 
 
 def goal_ratio(metrics: pd.DataFrame, evaluation: pd.DataFrame, greedy: bool) -> Figure:

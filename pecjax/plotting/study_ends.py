@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pecjax.envs.rooms.settings import Rooms
-from pecjax.envs.task import take_configs
 from pecjax.plotting.maps import success
 from pecjax.plotting.study_curves import INTERVALS, STYLES
 from pecjax.plotting.style import RATIO_LIMITS, steps_unit
@@ -103,7 +102,6 @@ class _Zone(NamedTuple):
 def maps(tables: StudyTables, task: Rooms) -> Figure:
     """The first map with the last evaluation's goal ratio of every pair, a panel for each condition."""
     table, scene = task.configurations(), task.scenes()[0]
-    inside = np.flatnonzero(np.asarray(table.map_id) == 0)
     last = tables.configurations[tables.configurations.iteration == tables.configurations.iteration.max()]
     by_condition = list(last.groupby("condition", sort=False))
     figure = Figure((4.6 * len(by_condition) + 0.8, 5.0), layout="constrained")
@@ -111,7 +109,7 @@ def maps(tables: StudyTables, task: Rooms) -> Figure:
     shades = []
     for axes, (condition, counts) in zip(panels, by_condition, strict=True):
         ratios = counts.groupby("config").goal_ratio.mean().to_numpy()
-        shades.append(success(axes, scene, take_configs(table, inside), ratios[inside], task))
+        shades.append(success(axes, scene, table, ratios, task))
         axes.set_title(f"{condition}: {np.nanmean(ratios):.3f} of all reach the goal", fontsize=9)
         axes.label_outer()
     figure.colorbar(shades[0], ax=list(panels), label="goal ratio, mean over seeds", shrink=0.7, extend="min")

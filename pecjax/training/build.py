@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from pecjax.agents import AXIS, Agent, TrainState, device_mesh, shard
@@ -56,7 +57,16 @@ def build(settings: RunSettings, num_devices: int, *, trains: bool = True) -> Ru
 
 def everywhere(world: World, mesh: Mesh) -> World:
     """The world on every device of the mesh."""
-    return jax.device_put(world, NamedSharding(mesh, PartitionSpec()))
+    place = NamedSharding(mesh, PartitionSpec())
+    if jax.process_count() == 1:
+        return jax.device_put(world, place)
+
+    def own_copies(leaf: Any) -> jax.Array:
+        array = jnp.asarray(leaf)
+        return jax.make_array_from_callback(array.shape, place, lambda part: array[part])
+
+    # `device_put` would compare all processes' copies, and one of them may not come this far.
+    return jax.tree.map(own_copies, world)
 
 
 def observation_bytes(task: Task, number: int) -> int:
