@@ -20,6 +20,8 @@ from pecjax.envs.rooms.scene import Scene
 from pecjax.envs.rooms.task import NavigationSettings
 from pecjax.plotting.style import FAILURES, GOAL, PATH
 
+Place = tuple[float, float]  # m
+
 # How walls look: at the flight height, below or above it, and a floor or ceiling.
 SOLID: dict[str, Any] = {"facecolor": "0.35", "linewidth": 0, "zorder": 1}
 PASSED: dict[str, Any] = {
@@ -147,24 +149,28 @@ def _wall_style(scene: Scene, height: float, lower: np.ndarray, upper: np.ndarra
     return COVER if covered > 0.5 else PASSED
 
 
-def _ways(table: Configurations) -> dict[int, Any]:
-    """Start and goal (2,) m of each configuration in the first map, by its number."""
+def _ways(table: Configurations) -> dict[int, tuple[Place, Place]]:
+    """Start and goal of each configuration in the first map, by its number."""
     rows = np.flatnonzero(np.asarray(fill(table).map_id) == 0)
-    return {row: (np.asarray(table.start)[row], np.asarray(table.goal)[row]) for row in rows.tolist()}
+    starts, goals = (np.asarray(part)[rows].tolist() for part in (table.start, table.goal))
+    return {
+        row: (tuple(start), tuple(goal))
+        for row, start, goal in zip(rows.tolist(), starts, goals, strict=True)
+    }
 
 
 def _places(axes: Axes, table: Configurations, rules: NavigationSettings) -> None:
     """Marks every start by a dot with its configurations, and every goal by the circle to be reached."""
-    starts: dict[tuple[float, float], list[int]] = {}
+    starts: dict[Place, list[int]] = {}
     ways = _ways(table)
     for row, (start, _) in ways.items():
-        starts.setdefault((float(start[0]), float(start[1])), []).append(row)
+        starts.setdefault(start, []).append(row)
     for place, rows in starts.items():
         axes.plot(*place, "o", color=GOAL, markersize=5)
         if len(ways) > MOST_NAMES:
             continue
         name = ",".join(f"c{row}" for row in rows)
         axes.annotate(name, place, textcoords="offset points", xytext=(4, 5), fontsize=7, color=GOAL)
-    for x, y in sorted({(float(x), float(y)) for _, (x, y) in ways.values()}):
+    for x, y in sorted({goal for _, goal in ways.values()}):
         radius = rules.goal_radius
         axes.add_patch(Circle((x, y), radius, facecolor="none", edgecolor=GOAL, linewidth=0.6, zorder=1.5))
