@@ -14,6 +14,7 @@ import json
 import os
 import statistics
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -39,9 +40,10 @@ def main() -> None:
     parser.add_argument("sides", nargs=2, metavar=("A", "B"))
     parser.add_argument("--pairs", type=int, default=6)
     parser.add_argument("--iterations", type=int, default=120)
-    parser.add_argument("options", nargs="*", help="of pecjax train, after --")
-    args = parser.parse_args()
-    options = ["--iterations", str(args.iterations), *args.options]
+    words = sys.argv[1:]
+    end = words.index("--") if "--" in words else len(words)
+    args = parser.parse_args(words[:end])
+    options = ["--iterations", str(args.iterations), *words[end + 1 :]]
     ratios = []
     with tempfile.TemporaryDirectory() as caches:
         for pair in range(args.pairs):

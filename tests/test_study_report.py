@@ -1,5 +1,7 @@
 """Reports of studies that nobody trained: what belongs to one condition, whatever its α and its place."""
 
+import shutil
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -96,6 +98,39 @@ def test_two_runs_of_one_name_are_refused_in_one_line(near_alphas, tmp_path):
     with pytest.raises(pecjax.InputError, match=r"results\.csv: .* pec, α = 0\.2, seed 4 .* twice") as error:
         read_study(folder)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda arrays: arrays.pop("failures"), r"0001: not the arrays of a slice \(KeyError\('failures'"),
+        (
+            lambda arrays: arrays.update(iteration=np.arange(3)),
+            r"0001: not the arrays of a slice \(ValueError",
+        ),
+        (lambda arrays: arrays.update(trials=arrays["trials"][0]), "0001: not the arrays of a slice"),
+        (
+            lambda arrays: arrays.update(goal_ratio=np.full((1, 8, 20), "x")),
+            "0001: not the arrays of a slice",
+        ),
+        (None, "uniform, seed 0 it has results and no configurations; the command that"),
+    ],
+)
+def test_slices_that_do_not_belong_to_the_tables_get_one_line(damage, words, tmp_path):
+    folder = write_study(tmp_path / "study", study_settings(seeds=(0,)), lambda run, progress: progress)
+    path = folder / "slices" / "0001" / "configurations.npz"
+    if damage is None:
+        shutil.rmtree(path.parent)
+    else:
+        arrays = dict(np.load(path))
+        damage(arrays)
+        np.savez(path, **arrays)
+    with pytest.raises(pecjax.InputError, match=words) as error:
+        study_report.write_report(folder)
+    assert "\n" not in str(error.value)
+    shutil.rmtree(folder / "slices")
+    with pytest.raises(pecjax.InputError, match="none is there; go on with the study"):
+        read_study(folder)
 
 
 def test_the_worst_tenth_of_an_evaluation_is_of_what_it_flew():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,7 +33,7 @@ def read_study(folder: Path) -> StudyTables:
     """Reads the tables that a study has gathered so far.
 
     Raises:
-        InputError: there are none, or two runs in them cannot be told apart.
+        InputError: there are none, they do not belong together, or two runs in them cannot be told apart.
     """
     directory = StudyDirectory(folder)
     settings = directory.settings()
@@ -58,7 +58,22 @@ def read_study(folder: Path) -> StudyTables:
                 "is there twice; where two α share their first 7 digits, as older versions wrote them, "
                 "train the study again in another folder"
             )
+    _check_runs(folder, found)
     return StudyTables(**found)
+
+
+def _check_runs(folder: Path, found: dict[str, pd.DataFrame]) -> None:
+    """Makes sure that all tables have the runs that the results have."""
+    runs = {
+        name: set(table[["coordinates", "condition", "seed"]].itertuples(index=False, name=None))
+        for name, table in found.items()
+    }
+    for name in ("metrics", "configurations"):
+        for coordinates, condition, seed in sorted(runs["results"] - runs[name])[:1]:
+            raise InputError(
+                f"{folder}: of coordinates {coordinates}, {condition}, seed {seed} it has results and no "
+                f"{name}; the command that the study was made by makes them again"
+            )
 
 
 def _configurations(directory: StudyDirectory, slices: int, results: pd.DataFrame) -> pd.DataFrame:
@@ -68,23 +83,36 @@ def _configurations(directory: StudyDirectory, slices: int, results: pd.DataFram
         return _with_ratios(read_table(of_version_0_1, _COLUMNS["configurations"]), results)
     parts = []
     for path, arrays in directory.configurations(slices):
-        if not arrays["trials"].size:  # every run of it diverged
-            continue
-        of_slice = read_table(path / "results.csv", _COLUMNS["results"])
-        heads = of_slice.loc[:, :"iteration"].drop(columns="iteration").drop_duplicates(ignore_index=True)
-        for (_, head), trials, failures, ratios in zip(
-            heads.iterrows(), arrays["trials"], arrays["failures"], arrays["goal_ratio"], strict=True
-        ):
-            evaluations, configs = trials.shape
-            counts = {
-                "iteration": np.repeat(arrays["iteration"], configs),
-                "config": np.tile(np.arange(configs), evaluations),
-                "trials": trials.ravel(),
-                "failures": failures.ravel(),
-                "goal_ratio": ratios.ravel(),
-            }
-            parts.append(pd.DataFrame(head.to_dict() | counts))
+        try:
+            parts.extend(_of_slice(path, arrays))
+        except InputError:
+            raise
+        except (KeyError, ValueError, TypeError) as error:
+            raise InputError(f"{path}: not the arrays of a slice ({error!r}); remove it and go on") from error
+    if not parts:
+        raise InputError(f"{directory.folder / 'slices'}: none is there; go on with the study")
     return pd.concat(parts, ignore_index=True)
+
+
+def _of_slice(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[pd.DataFrame]:
+    """The same of each run of one slice."""
+    if not arrays["trials"].size:  # every run of it diverged
+        return
+    of_slice = read_table(path / "results.csv", _COLUMNS["results"])
+    heads = of_slice.loc[:, :"iteration"].drop(columns="iteration").drop_duplicates(ignore_index=True)
+    for (_, head), trials, failures, ratios in zip(
+        heads.iterrows(), arrays["trials"], arrays["failures"], arrays["goal_ratio"], strict=True
+    ):
+        evaluations, configs = trials.shape
+        counts = {
+            "iteration": np.repeat(arrays["iteration"], configs),
+            "config": np.tile(np.arange(configs), evaluations),
+            "trials": trials.ravel(),
+            "failures": failures.ravel(),
+            "goal_ratio": ratios.ravel(),
+        }
+        kinds = {"iteration": int, "trials": int, "failures": int, "goal_ratio": float}
+        yield pd.DataFrame(head.to_dict() | counts).astype(kinds)
 
 
 def _with_ratios(counts: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:

@@ -29,7 +29,7 @@ def run_settings(content: Any) -> Any:
     agent = str(content["algorithm"])
     if agent not in _AGENTS:
         raise InputError(f"unknown algorithm '{agent}'; choose one of {', '.join(_AGENTS)}")
-    numbers: dict[str, Any] = content.get(agent, {})
+    numbers: dict[str, Any] = dict(content.get(agent, {}))
     task: dict[str, Any] = {"table": content.get("coordinates", "1"), "resolution": content.get("resolution")}
     if content.get("scene") is not None:
         task["maps"] = [content["scene"]]
