@@ -1,6 +1,6 @@
 """Tasks so small that their values are known, and without the edges that rounding can tip over."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -82,7 +82,7 @@ class Target(Task):
     observation_space = Box((1,), -1.0, 1.0)
     action_space = Box((2,), -2.0, 2.0)
     max_steps = 1
-    metrics = {"distance": "mean"}  # noqa: RUF012
+    metrics: ClassVar = {"distance": "mean"}
 
     def reset(self, key, config, params):
         return Counted(jnp.zeros((), jnp.int32), config)

@@ -1,6 +1,7 @@
 """Ape-X against rlax, hand tables, and a task small enough to know its values exactly."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -270,7 +271,7 @@ def test_settings_that_do_not_fit_one_another_are_refused(change, words):
 class Seen(TwoStates):
     """The same, of which one sees an image, and two numbers that say nothing."""
 
-    observation_space = {"look": Box((1, 1), 0.0, 1.0), "nothing": Box((2,))}  # noqa: RUF012
+    observation_space: ClassVar = {"look": Box((1, 1), 0.0, 1.0), "nothing": Box((2,))}
 
     def observe(self, key, state, params):
         return {"look": jnp.full((1, 1), 1.0 * state.room), "nothing": jnp.zeros(2)}

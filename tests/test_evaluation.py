@@ -191,7 +191,7 @@ def test_goal_ratios_equal_pandas():
     np.testing.assert_allclose(flights.goal_ratios(), expected[:8])
 
 
-def test_ppos_policy_takes_the_likeliest_action_or_draws_by_the_logits(env):
+def test_ppos_policy_takes_the_most_likely_action_or_draws_by_the_logits(env):
     settings = PPO(num_envs=1, network=NetworkSettings(hidden=(8,)))
     agent = settings.make(env.task, pecjax.curriculum.uniform(20))
     world = World(env.params, env.configurations)

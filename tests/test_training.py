@@ -277,7 +277,7 @@ def test_a_run_that_is_opened_flies_its_evaluation_and_other_worlds(run, tables)
     world = trained.run.world
     backwards = jax.tree.map(lambda leaf: leaf[::-1], world.table)
     assert np.any(fly(world._replace(table=backwards)).paths[:, 0] != fly().paths[:, 0])
-    # One observation leads to one action, the same every time where it is the likeliest.
+    # Greedy actions repeat themselves: one observation always leads to the same action.
     state = trained.run.task.reset(jax.random.key(1), jax.tree.map(lambda leaf: leaf[0], world.table), None)
     seen = trained.run.task.observe(jax.random.key(2), state, world.params)
     act = jax.jit(trained.policy())

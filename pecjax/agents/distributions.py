@@ -25,7 +25,7 @@ class Distribution(NamedTuple):
         num_params: P.
         noise: (key) -> all the randomness of one draw.
         draw: (params, noise) -> what is drawn.
-        mode: (params) -> the likeliest that is drawn.
+        mode: (params) -> the draw of highest density.
         action: (drawn) -> the environment's action.
         log_prob: (params, drawn) -> (…,), of the action.
         kl: (old params, new params) -> (…,), KL(old ‖ new).

@@ -33,7 +33,7 @@ class Eval:
         folder: the run's folder.
         checkpoint: the iteration it was saved at. (default: the newest)
         episodes: how many to fly, spread evenly over the configurations.
-        sampled: draws actions from the policy; else the likeliest is taken.
+        sampled: draws actions from the policy; else the most likely one is taken.
         seed: of headings and drawn actions.
         json: prints one JSON object.
     """

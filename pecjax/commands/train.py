@@ -41,7 +41,7 @@ class Train:
         num_envs: environments flown side by side. (default: the preset's)
         devices: how many share them. (default: all that divide them evenly)
         out: the run's folder. (default: a new one under runs/)
-        sampled_evaluation: evaluates with drawn actions instead of the likeliest ones.
+        sampled_evaluation: evaluates with drawn actions instead of the most likely ones.
         resume: resumes the run in --out where it was stopped, or with more --iterations.
         coordinator: where several processes share the training, given to all of them alike: HOST:PORT of
             the first, or auto under SLURM or Open MPI. (default: this process is alone)

@@ -59,7 +59,7 @@ def make_flyer(
     `EvalResult`; it can be jitted, vmapped over learners and sharded over episodes.
 
     Args:
-        greedy: takes the likeliest action at every step; else draws, as training does.
+        greedy: takes the most likely action at every step; else draws, as training does.
         seed: of resets and drawn actions: two policies with one seed fly the same episodes.
     """
 

@@ -37,7 +37,7 @@ class EvaluationSettings:
         every: iterations between evaluations, each saved as a checkpoint.
         episodes: of each, spread evenly over the configurations.
         seed: the same for all runs, so that they are paired.
-        greedy: whether evaluations take the likeliest action; else they draw, as training does.
+        greedy: whether evaluations take the most likely action; else they draw, as training does.
     """
 
     every: int = 50

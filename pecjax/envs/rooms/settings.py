@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -54,11 +55,15 @@ class Rooms(NavigationSettings, TaskSettings):
         return task, World(RoomsParams(make_bank([scene.map for scene in scenes])), table)
 
     def scenes(self) -> list[Scene]:
-        """The maps in their order, all with the drone of the first.
+        """The maps in their order, all with the drone of the first; read once.
 
         Raises:
             InputError: a file that is not there or is wrong, or another drone.
         """
+        return self._scenes
+
+    @functools.cached_property
+    def _scenes(self) -> list[Scene]:
         paths = self._paths()
         first = load_scene(paths[0], self.resolution)
         return [first, *(load_scene(path, self.resolution, first.vehicle) for path in paths[1:])]
