@@ -6,7 +6,6 @@ from pathlib import Path
 
 import jax
 import numpy as np
-import pandas as pd
 import pytest
 from contract_task import check_task
 
@@ -31,10 +30,9 @@ def test_the_tasks_of_the_examples_keep_to_the_contract():
     assert check_task(*importlib.import_module("many_maps").Halls(number=5).make(), steps=40) > 0
 
 
-@pytest.mark.parametrize(("iterations", "least"), [(2, 0.0), pytest.param(80, 0.9, marks=pytest.mark.slow)])
-def test_a_task_of_ones_own(iterations, least):
-    row = importlib.import_module("own_task").main(iterations)
-    assert row["goal_ratio"] >= least and 0 < row["effort"] < 1
+def test_a_task_of_ones_own():
+    row = importlib.import_module("own_task").main(iterations=2)
+    assert 0 <= row["goal_ratio"] <= 1 and 0 < row["effort"] < 1
 
 
 def test_an_axis_of_ones_own_is_read_flown_and_kept(tmp_path, capsys):
@@ -55,26 +53,14 @@ def test_an_axis_of_ones_own_is_read_flown_and_kept(tmp_path, capsys):
     np.testing.assert_allclose(seen[2], np.minimum(seen[0], 0.05))
 
 
-@pytest.mark.parametrize(
-    ("iterations", "number", "least"), [(2, 50, 0.0), pytest.param(100, 1000, 0.8, marks=pytest.mark.slow)]
-)
-def test_many_maps(iterations, number, least, capsys):
-    seen, unseen = importlib.import_module("many_maps").main(iterations, number)
-    assert least <= seen <= 1 and least <= unseen <= 1
+def test_many_maps_are_flown_seen_and_unseen(capsys):
+    seen, unseen = importlib.import_module("many_maps").main(iterations=2, number=50)
+    assert 0 <= seen <= 1 and 0 <= unseen <= 1
     assert "never seen" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("iterations", "least"), [(2, 0.0), pytest.param(100, 0.6, marks=pytest.mark.slow)])
-def test_an_environment_of_gymnax(iterations, least):
+def test_an_environment_of_gymnax():
     pytest.importorskip("gymnax")
     example = importlib.import_module("gymnax_cartpole")
     assert check_task(*example.Poles().make(), steps=60) > 0
-    assert example.main(iterations) >= least
-
-
-@pytest.mark.slow
-def test_a_sampler_of_ones_own(tmp_path, capsys):
-    importlib.import_module("own_sampler").main("smoke", tmp_path)
-    results = pd.read_csv(tmp_path / "own-sampler-smoke" / "results.csv")
-    assert set(results.sampler) == {"own_sampler:Learnability", "pec", "uniform"}
-    assert "Learnability" in capsys.readouterr().out
+    assert 0 <= example.main(iterations=2) <= 1
