@@ -19,20 +19,20 @@ class InputError(ValueError):
 
 
 class StoppedError(KeyboardInterrupt):
-    """A training was asked to stop, and has kept all that it needs to go on.
+    """A training was asked to stop, and has saved all that it needs to resume.
 
     Attributes:
         signal: what asked it: SIGINT (Ctrl-C) or SIGTERM.
     """
 
     def __init__(self, message: str, signal: signal.Signals) -> None:
-        """The message is one line that says how to go on."""
+        """The message is one line that says how to resume."""
         super().__init__(message)
         self.signal = signal
 
 
 class LostProcessError(RuntimeError):
-    """One of the processes that share a training is gone; the message says how to go on."""
+    """One of the processes that share a training is gone; the message says how to resume."""
 
 
 class DivergedError(ArithmeticError):

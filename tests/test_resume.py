@@ -362,7 +362,7 @@ def test_a_broken_checkpoint_gives_way_to_the_one_before(damage, whole, tmp_path
     training.resume(PPO, folder)
     err = capsys.readouterr().err
     assert "resumes after iteration 2" in err
-    assert ("falling back to the one before" in err) == (damage != "a part missing")
+    assert ("falling back to the previous checkpoint" in err) == (damage != "a part missing")
     assert_same_run(whole(PPO, 1), folder)
 
 

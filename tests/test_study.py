@@ -329,7 +329,7 @@ def test_a_full_disk_is_said_and_the_study_goes_on_afterwards(study, settings, t
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))  # no file may grow beyond it
     try:
-        with pytest.raises(pecjax.InputError, match=r"cannot be written .* goes on"):
+        with pytest.raises(pecjax.InputError, match=r"cannot be written .* resumes"):
             run_study(settings, folder)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
@@ -497,7 +497,7 @@ def test_a_study_that_goes_on_at_another_commit_says_so_and_keeps_both(study, se
     commit = began["git_commit"]
     assert commits(folder) == [commit, "f00df00d-dirty", commit] and commits(study) == [commit] * 3
     if commit:  # the tests may run outside a checkout
-        words = f"begun at commit {provenance.short_commit(commit)} and goes on at f00df00-dirty"
+        words = f"begun at commit {provenance.short_commit(commit)} and resumed at f00df00-dirty"
         assert words in capsys.readouterr().err
     assert digests(folder) == digests(study)
     assert (folder / "study.json").read_bytes() == (study / "study.json").read_bytes()

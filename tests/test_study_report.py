@@ -129,7 +129,7 @@ def test_slices_that_do_not_belong_to_the_tables_get_one_line(damage, words, tmp
         study_report.write_report(folder)
     assert "\n" not in str(error.value)
     shutil.rmtree(folder / "slices")
-    with pytest.raises(pecjax.InputError, match="none is there; go on with the study"):
+    with pytest.raises(pecjax.InputError, match="none is there; resume the study"):
         read_study(folder)
 
 

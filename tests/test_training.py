@@ -410,7 +410,7 @@ def test_a_run_of_apex_leaves_the_same_files_and_its_policy_can_be_had(
     assert run_figures.draw_run(folder)
     directory = RunDirectory(folder)
     assert directory.settings() == settings
-    trained = open_run(folder)
+    trained = open_run(str(folder))
     flights = trained.evaluator()()
     assert trained.iteration == 3
     assert flights.success.mean() == summary["uniform_evaluation"]["goal_ratio"]

@@ -118,7 +118,7 @@ def rollout(
 ) -> tuple[RolloutState, Trajectory, Episodes]:
     """Steps every environment T times (Jang & Choi 2022, Fig. 1, lines 2-10).
 
-    An episode that ends gives way at once to the next, drawn from the sampler as it stands at the
+    An episode that ends is followed at once by the next, drawn from the sampler as it stands at the
     beginning of the batch; one that is still running is carried into the next batch. An outcome
     is reported when its episode ends, for the configuration the episode was reset with.
 

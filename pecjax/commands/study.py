@@ -33,7 +33,7 @@ OWN_GRID = (("task.table", ("1",)), ("sampler", ("pec", "uniform")), ("sampler.a
 class Study:
     """Trains a grid of samplers, α and seeds, paired by seed, and compares them.
 
-    Stopped at any moment, the same command goes on where it was.
+    Stopped at any moment, the same command resumes it where it was.
 
     Attributes:
         name: one of the paper's experiments: fig4 (PPO, set 1), fig8 (set 2), fig11 (α) or

@@ -19,7 +19,7 @@ Success = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
 
 
 def survived(terminated: jax.Array, truncated: jax.Array, reward: jax.Array) -> jax.Array:
-    """Success where it is to go on for as long as there is time, as CartPole's is."""
+    """Success where the aim is to last for as long as there is time, as CartPole's is."""
     return truncated & ~terminated
 
 

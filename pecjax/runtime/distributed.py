@@ -87,7 +87,7 @@ def primary_only(write: Callable[..., None]) -> Callable[..., None]:
 
 @contextlib.contextmanager
 def synchronized(what: Any = None) -> Iterator[None]:
-    """What every process does for itself before it needs the others: if one fails, none goes on.
+    """What every process does for itself before it needs the others: if one fails, none continues.
 
     Args:
         what: has to be the same in all of them, by its `repr`.

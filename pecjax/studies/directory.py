@@ -143,7 +143,7 @@ class StudyDirectory:
         now = self._facts["git_commit"]
         if there and begun and now and begun != now:
             yield (
-                f"{self.folder}: begun at commit {short_commit(str(begun))} and goes on at "
+                f"{self.folder}: begun at commit {short_commit(str(begun))} and resumed at "
                 f"{short_commit(now)}; what is there stays"
             )
 

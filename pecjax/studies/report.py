@@ -146,7 +146,7 @@ def write_report(folder: Path) -> str:
         "summary": summaries,
         "paired": differences,
     }
-    with files.writing(folder, "the same command goes on once it can"):
+    with files.writing(folder, "the same command resumes once it can"):
         for name, rows in written.items():
             files.replace_file(folder / f"{name}.csv", files.csv_text(rows))
     lines = [

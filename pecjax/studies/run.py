@@ -24,7 +24,7 @@ Worlds = dict[TaskSettings, tuple[Task, World]]
 def run_study(settings: StudySettings, folder: Path, notice: str | None = None) -> None:
     """Makes every run of a study that its folder does not hold yet.
 
-    A slice is written when it is whole, and so a study that is stopped goes on with the slice it
+    A slice is written when it is whole, and so a study that is stopped resumes with the slice it
     was at; its tables end as if it had never stopped. A run that diverges is left out of the tables
     and not repeated; all others are made.
 
@@ -44,7 +44,7 @@ def run_study(settings: StudySettings, folder: Path, notice: str | None = None) 
     runs = sum(map(len, slices))
     with (
         directory.open(settings, [*worlds], len(jax.devices())),
-        writing(folder, "the same command goes on once it can"),
+        writing(folder, "the same command resumes once it can"),
         Progress(runs * settings.run.stop.iterations) as progress,
         Interruption() as interruption,
     ):

@@ -88,9 +88,10 @@ def _configurations(directory: StudyDirectory, slices: int, results: pd.DataFram
         except InputError:
             raise
         except (KeyError, ValueError, TypeError) as error:
-            raise InputError(f"{path}: not the arrays of a slice ({error!r}); remove it and go on") from error
+            what = f"not the arrays of a slice ({error!r}); remove it and resume the study"
+            raise InputError(f"{path}: {what}") from error
     if not parts:
-        raise InputError(f"{directory.folder / 'slices'}: none is there; go on with the study")
+        raise InputError(f"{directory.folder / 'slices'}: none is there; resume the study")
     return pd.concat(parts, ignore_index=True)
 
 

@@ -1,4 +1,4 @@
-"""Checkpoints: what a run can go on from, and the policies it can be asked for, by iteration."""
+"""Checkpoints: what a run can resume from, and the policies it can be asked for, by iteration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ KEPT_STATES = 2  # the newest, and one to fall back on
 
 
 class ResumeState(NamedTuple):
-    """Where a training stands: all that it needs to go on as if it had never stopped.
+    """Where a training stands: all that it needs to resume as if it had never stopped.
 
     Attributes:
         state: of environments, sampler and learner.
@@ -114,7 +114,7 @@ class Checkpoints:
                 path = _path(self._states, iteration)
                 return read_arrays(path, like, self._about), warnings
             except CorruptFileError as error:
-                warnings.append(f"{error}; falling back to the one before")
+                warnings.append(f"{error}; falling back to the previous checkpoint")
         reason = "; ".join(warnings) or "no state to resume from"
         raise InputError(f"{self._states}: {reason}; train anew in another folder")
 

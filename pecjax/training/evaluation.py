@@ -127,6 +127,8 @@ def run_episodes(
     shared = (0, 0, None)
     reset, observe = jax.vmap(task.reset, shared), jax.vmap(task.observe, shared)
     start = reset(keys, take_configs(world.table, config_id), world.params)
+    first = jax.vmap(jax.random.fold_in, (0, None))(keys, limit)  # steps fold in numbers below it
+    obs = observe(first, start, world.params)
     position = jax.vmap(task.position)(start)
     paths = None if position is None else jnp.zeros((limit + 1, number, 2)).at[0].set(position)
     running = begin(config_id, task.metrics)
@@ -134,28 +136,35 @@ def run_episodes(
     none = jnp.zeros(number, bool)
 
     def are_running(carry: tuple) -> jax.Array:
-        time, _, _, done, *_ = carry
+        time, _, _, _, done, *_ = carry
         return (time < limit) & ~jnp.all(done)
 
     def step(carry: tuple) -> tuple:
-        time, state, running, done, success, metrics, paths = carry
+        time, state, obs, running, done, success, metrics, paths = carry
         now = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, time)
         # The action's draws are those of `now`; the task's are of keys of their own.
         of_task = jax.vmap(lambda key: jax.random.split(key, 2), out_axes=1)(now)
-        actions = jax.vmap(act)(observe(of_task[0], state, world.params), now)
+        actions = jax.vmap(act)(obs, now)
         after = jax.vmap(task.step, (0, 0, 0, None))(of_task[1], state, actions, world.params)
         further, episodes = go_on(running, after, task.metrics)
-        state, running, success, metrics = reset_where(
+        # Of an episode that has ended nothing is observed: XLA then leaves out its images.
+        state, obs, running, success, metrics = reset_where(
             done,
-            (state, running, success, metrics),
-            (after.state, further, after.success, episodes.metrics),
+            (state, obs, running, success, metrics),
+            (
+                after.state,
+                observe(of_task[0], after.state, world.params),
+                further,
+                after.success,
+                episodes.metrics,
+            ),
         )
         if paths is not None:
             paths = paths.at[time + 1].set(jax.vmap(task.position)(state))
-        return time + 1, state, running, done | episodes.outcomes.done, success, metrics, paths
+        return time + 1, state, obs, running, done | episodes.outcomes.done, success, metrics, paths
 
-    time, state, running, _, success, metrics, paths = jax.lax.while_loop(
-        are_running, step, (jnp.int32(0), start, running, none, none, nothing, paths)
+    time, state, _, running, _, success, metrics, paths = jax.lax.while_loop(
+        are_running, step, (jnp.int32(0), start, obs, running, none, none, nothing, paths)
     )
     if paths is not None:
         beyond = jnp.arange(limit + 1)[:, None, None] > time

@@ -51,12 +51,13 @@ class Trained(NamedTuple):
         return fly
 
 
-def open_run(folder: Path, checkpoint: int | None = None) -> Trained:
+def open_run(folder: str | Path, checkpoint: int | None = None) -> Trained:
     """Reads a run's settings, its task's files and one of its checkpoints, the newest when None.
 
     Raises:
         InputError: the folder holds no run, or no such checkpoint.
     """
+    folder = Path(folder)
     directory = RunDirectory(folder)
     settings = dataclasses.replace(directory.settings(), task=directory.task())
     num_devices = choose_num_devices(None, settings.agent.device_divisor)

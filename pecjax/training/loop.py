@@ -74,7 +74,7 @@ class Hooks:
     """What the loop asks of whoever runs it.
 
     Attributes:
-        diverged: (run, iteration, names of what is not finite); it may raise, else the others go on.
+        diverged: (run, iteration, names of what is not finite); it may raise, else the others continue.
         saved: (how it stands), after an evaluation or before a stop, once all sinks know of it.
         asked: whether to stop.
         lookahead: how many iterations are enqueued before the host looks at the first: the devices then

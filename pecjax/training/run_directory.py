@@ -196,7 +196,7 @@ class RunDirectory:
         return json.loads((self.folder / "config.json").read_text())
 
     def differences(self, settings: RunSettings) -> list[str]:
-        """What a run that goes on with these settings would do otherwise than before."""
+        """What a run resumed with these settings would do otherwise than before."""
         return list(settings_tree.differences(_what_matters(self.settings()), _what_matters(settings)))
 
     def identity(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""A session: a training in one process, and where it begins or goes on."""
+"""A session: a training in one process, and where it starts or resumes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pecjax.training.sinks import Progress
 
 
 class Session(NamedTuple):
-    """A training from its start, or from where it goes on, to its end or a stop."""
+    """A training from its start, or from where it resumes, to its end or a stop."""
 
     settings: RunSettings
     run: Run

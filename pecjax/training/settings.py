@@ -53,7 +53,7 @@ class StopSettings:
     Attributes:
         iterations: how many to train for, at most.
         until_goal_ratio: the training goal ratio to stop at, once `patience` iterations in a row
-            have reached it; None to go on to the end.
+            have reached it; None to train to the end.
         patience: iterations in a row, for `until_goal_ratio`.
     """
 

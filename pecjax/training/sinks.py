@@ -23,7 +23,7 @@ class Sink:
     """
 
     def open(self, runs: Sequence[str], iteration: int) -> None:
-        """The runs begin, or go on after so many iterations."""
+        """The runs start, or resume after so many iterations."""
 
     def rows(self, table: str, rows: Sequence[Row]) -> None:
         """One row of each run: of the table `metrics` after every iteration, of `evaluation` when due."""

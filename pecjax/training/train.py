@@ -15,7 +15,7 @@ from pecjax.runtime.devices import advice_on_idle_devices, choose_num_devices
 from pecjax.runtime.distributed import ending_together, greatest, synchronized
 from pecjax.runtime.signals import Interruption
 from pecjax.storage.files import alone, check_free, writing
-from pecjax.training.build import build
+from pecjax.training.build import Run, build
 from pecjax.training.checkpoint import Checkpoints, ResumeState
 from pecjax.training.loop import Clock, Ending, Hooks, Position, run_loop
 from pecjax.training.program import Iterate, one_run
@@ -41,7 +41,7 @@ def train(
 
     Raises:
         InputError: anything the user can put right; nothing has been written then.
-        StoppedError: a signal asked for it; `resume` goes on.
+        StoppedError: a signal asked for it; `resume` continues it.
         DivergedError: a figure that is not finite.
         LostProcessError: one of several processes is gone (see `distributed.join`).
     """
@@ -111,17 +111,18 @@ def _go(
         Progress(settings.stop.iterations, episodes) as progress,
         Interruption() as interruption,
     ):
+        _introduce(settings, run, directory, progress, is_resumed)
         session = Session(settings, run, directory, progress, Clock())
-        _introduce(session, is_resumed)
         with writing(folder, f"put that right and {_how_to_resume(folder)}"):
             position, iterate = resumed(session) if is_resumed else begun(session)
             progress.say(f"compiled in {session.clock.compile_seconds:.1f} s")
             return _loop(session, position, iterate, sinks, interruption)
 
 
-def _introduce(session: Session, is_resumed: bool) -> None:
+def _introduce(
+    settings: RunSettings, run: Run, directory: RunDirectory, progress: Progress, is_resumed: bool
+) -> None:
     """Says what is trained, on what."""
-    settings, run, directory, progress, _ = session
     agent, num_devices, available = settings.agent, run.mesh.devices.size, len(jax.devices())
     advice = "" if is_resumed else advice_on_idle_devices(agent.num_envs, agent.device_divisor, num_devices)
     on = f"{num_devices} of {available} devices{advice}" if available > 1 else "1 device"

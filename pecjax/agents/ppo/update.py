@@ -15,7 +15,7 @@ from pecjax.agents.returns import generalized_advantage, with_bootstrap
 from pecjax.agents.rollout import Trajectory
 from pecjax.agents.sharding import device_mean
 
-MIN_KL_COEFF = 1e-30  # float32 would go on to 0, and stay there
+MIN_KL_COEFF = 1e-30  # float32 would shrink to 0, and stay there
 
 
 class Learner(NamedTuple):

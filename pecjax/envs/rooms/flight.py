@@ -129,7 +129,7 @@ def _acceleration(
 
 
 def allocate_rotors(vehicle: Vehicle, thrust: jax.Array, torque: jax.Array) -> jax.Array:
-    """Rotor controls (U,) for a thrust (N) and a torque (3,) N m; yaw gives way at the limits."""
+    """Rotor controls (U,) for a thrust (N) and a torque (3,) N m; yaw yields first at the limits."""
     inverse = jnp.asarray(np.linalg.pinv(vehicle.rotors.wrench), torque.dtype)
     lower = jnp.asarray(vehicle.rotors.lower, torque.dtype)
     upper = jnp.asarray(vehicle.rotors.upper, torque.dtype)
