@@ -57,6 +57,9 @@ def parse(args: Sequence[str] | None = None) -> Command:
     known = ["--" + field.name.replace("_", "-") for field in dataclasses.fields(kind)] if kind else []
     try:
         found = read(Command, words, known, prog="pecjax", description=__doc__)
+        for field in dataclasses.fields(found):
+            if field.default is None and getattr(found, field.name) == ():
+                raise InputError(f"--{field.name.replace('_', '-')} has no value; give one or leave it out")
     except InputError as error:
         raise InputError(f"{error}; pecjax {command} --help lists all options") from None
     except SystemExit:

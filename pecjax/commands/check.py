@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pecjax.commands.drawing import draw_map
-from pecjax.commands.options import Option
+from pecjax.commands.options import Strings
 from pecjax.envs.rooms.settings import Rooms
 
 
@@ -21,7 +21,7 @@ class Check:
         out: where the picture goes, as .png and .svg.
     """
 
-    scene: Option[tuple[str, ...]] = None
+    scene: Strings = None
     coordinates: str = "1"
     out: Path = Path("check")
 

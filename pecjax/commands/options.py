@@ -20,6 +20,8 @@ T = TypeVar("T")
 # Its description says what happens without it, where tyro would say "(default: None)"; and `None` is
 # nothing that can be typed.
 Option = Annotated[T | None, tyro.conf.DisallowNone, tyro.conf.arg(help_behavior_hint="")]
+Strings = Annotated[Option[tuple[str, ...]], tyro.conf.arg(metavar="STR [STR ...]")]
+Floats = Annotated[Option[tuple[float, ...]], tyro.conf.arg(metavar="FLOAT [FLOAT ...]")]
 # Words that another reader takes: no option, and not shown.
 Rest = Annotated[tuple[str, ...], tyro.conf.Fixed, tyro.conf.Suppress]
 _TAKES = {"INT": "a whole number", "int()": "a whole number", "FLOAT": "a number", "{[FLOAT": "numbers"}

@@ -15,7 +15,7 @@ import tyro
 
 from pecjax.commands import settings_args
 from pecjax.commands.drawing import draw
-from pecjax.commands.options import Option, Rest
+from pecjax.commands.options import Floats, Option, Rest, Strings
 from pecjax.errors import DivergedError, InputError
 from pecjax.studies.catalogue import find_study
 from pecjax.studies.directory import StudyDirectory
@@ -60,14 +60,14 @@ class Study:
     name: tyro.conf.Positional[Option[str]] = None
     scale: Option[str] = None
     preset: Option[str] = None
-    samplers: Option[tuple[str, ...]] = None
-    alphas: Option[tuple[float, ...]] = None
-    coordinates: Option[tuple[str, ...]] = None
-    seeds: Option[tuple[str, ...]] = None
+    samplers: Strings = None
+    alphas: Floats = None
+    coordinates: Strings = None
+    seeds: Strings = None
     iterations: Option[int] = None
     evaluate_every: Option[int] = None
     task: Option[str] = None
-    scene: Option[tuple[str, ...]] = None
+    scene: Strings = None
     at_once: Option[int] = None
     grid: Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction] = ()
     out: Option[Path] = None

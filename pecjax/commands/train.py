@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pecjax.commands import settings_args
 from pecjax.commands.drawing import draw
-from pecjax.commands.options import Option, Rest
+from pecjax.commands.options import Option, Rest, Strings
 from pecjax.errors import InputError
 from pecjax.runtime import distributed as processes
 from pecjax.training import train as training
@@ -56,7 +56,7 @@ class Train:
     sampler: Option[str] = None
     alpha: Option[float] = None
     coordinates: Option[str] = None
-    scene: Option[tuple[str, ...]] = None
+    scene: Strings = None
     seed: Option[int] = None
     iterations: Option[int] = None
     until_goal_ratio: Option[float] = None
