@@ -62,7 +62,7 @@ class Task(abc.ABC):
         truncates: whether `truncated` is ever true. Otherwise the observation an episode ends with is
             never computed.
         metrics: figures of an episode by name, and how its steps are put together. They become columns
-            of metrics.csv, as means over the episodes that ended.
+            of metrics.csv and evaluation.csv, as means over the episodes that ended.
     """
 
     observation_space: Any

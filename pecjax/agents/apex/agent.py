@@ -145,7 +145,8 @@ def make(task: Task, sampler: Sampler, settings: Apex, axis_name: str | None = N
                 return update(network, optimizer, settings, features, learner, shards, key_learn, axis_name)
 
             def wait(learner: Learner, shards: Replay) -> tuple[Learner, Replay, dict[str, jax.Array]]:
-                return learner, shards, dict.fromkeys(("loss", "td_error", "value"), jnp.zeros(()))
+                of_none = jax.eval_shape(learn, learner, shards)[2]
+                return learner, shards, jax.tree.map(lambda term: jnp.zeros(term.shape, term.dtype), of_none)
 
             # A replay of n rows or fewer holds no transition yet.
             warm = learner.sampled >= max(settings.learning_starts, (n_step + 1) * num_envs)
