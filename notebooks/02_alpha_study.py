@@ -12,7 +12,7 @@
 # # How much does α matter?
 #
 # The paper's Fig. 11-12, one run each there, several seeds here. `pecjax study fig11` runs the same; a
-# study that was begun, here or there, goes on where it was, and a finished one is only read.
+# study that was started, here or there, resumes where it was, and a finished one is only read.
 
 # %% tags=["parameters"]
 SCALE = "laptop"  # some half an hour on two cores; "smoke" takes seconds and learns nothing

@@ -8,12 +8,11 @@ import pytest
 from nbclient import NotebookClient
 from nbclient.exceptions import CellTimeoutError
 
-pytestmark = pytest.mark.slow
-
 NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
 NAMES = ("01_first_flight", "02_alpha_study", "03_your_own_map_and_sampler")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_notebook_runs_from_top_to_bottom(name, tmp_path):
     notebook = jupytext.read(NOTEBOOKS / f"{name}.py")
