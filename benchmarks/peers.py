@@ -85,12 +85,12 @@ def brax_training(env: pecjax.RoomsNavigation, rounds: int, between: Callable[[]
     from brax.training.agents.ppo import networks, train
 
     rates: list[float] = []
-    begun = [time.perf_counter()]
+    started = [time.perf_counter()]
 
     def progress(steps: int, metrics: dict) -> None:
-        rates.append(BATCH * BATCHES_A_TURN / (time.perf_counter() - begun[0]))
+        rates.append(BATCH * BATCHES_A_TURN / (time.perf_counter() - started[0]))
         between()
-        begun[0] = time.perf_counter()
+        started[0] = time.perf_counter()
 
     train.train(
         environment=BraxRooms(env),
@@ -230,9 +230,9 @@ def main() -> None:
 
     def take_turns() -> None:
         for name, turn in turns.items():
-            begun = time.perf_counter()
+            started = time.perf_counter()
             steps = turn()
-            rates[name].append(steps / (time.perf_counter() - begun))
+            rates[name].append(steps / (time.perf_counter() - started))
 
     if "brax" in args.only:
         rates["Brax PPO"] = brax_training(env, args.rounds, take_turns)

@@ -42,16 +42,16 @@ def measure(group: Group, repeats: int) -> dict[str, float]:
     calls = {}
     for name, workload in group.items():
         workload.run()
-        begun = time.perf_counter()
+        started = time.perf_counter()
         workload.run()
-        calls[name] = max(1, round(SECONDS_A_TURN / (time.perf_counter() - begun)))
+        calls[name] = max(1, round(SECONDS_A_TURN / (time.perf_counter() - started)))
     seconds: dict[str, list[float]] = {name: [] for name in group}
     for _ in range(repeats):
         for name, workload in group.items():
-            begun = time.perf_counter()
+            started = time.perf_counter()
             for _ in range(calls[name]):
                 workload.run()
-            seconds[name].append((time.perf_counter() - begun) / calls[name])
+            seconds[name].append((time.perf_counter() - started) / calls[name])
     return {name: statistics.median(times) for name, times in seconds.items()}
 
 
@@ -146,13 +146,13 @@ def replay_growth() -> Group:
 
 
 def studies() -> Group:
-    """One training, and studies of several α in slices of so many runs."""
+    """One training, and studies of several α in batches of so many runs."""
     task, world = Rooms().make()
     sampler = pec(world.table.size)
     group = {"training, one run": learning.training(task, world, sampler, w.device_mesh(), PPO())}
-    for number, at_once in ((2, 2), (5, 2), (4, 4)):
+    for number, parallel_runs in ((2, 2), (5, 2), (4, 4)):
         alphas = tuple(0.1 * k for k in range(number))
-        group[f"study of {number} α, {at_once} runs at once"] = trainings.study(alphas, at_once)
+        group[f"study of {number} α, {parallel_runs} runs at once"] = trainings.study(alphas, parallel_runs)
     return group
 
 
@@ -197,14 +197,14 @@ def startup() -> dict[str, float]:
         for state in ("cold", "warm"):
             command = [sys.executable, "-m", "pecjax.cli", "train", "--iterations", "60"]
             command += ["--out", str(Path(folder) / state)]
-            begun = time.perf_counter()
+            started = time.perf_counter()
             with subprocess.Popen(
                 command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=surroundings
             ) as run:
                 assert run.stderr is not None
                 for line in run.stderr:
                     if line.startswith("iteration 1/"):
-                        found[f"first progress line, {state} cache"] = time.perf_counter() - begun
+                        found[f"first progress line, {state} cache"] = time.perf_counter() - started
                     found[f"peak memory of training, {state} cache"] = peak_memory(run.pid)
     return found
 

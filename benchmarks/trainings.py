@@ -16,18 +16,18 @@ from pecjax.training.program import several_runs, start
 from pecjax.training.settings import RunSettings
 
 
-def study(alphas: tuple[float, ...], at_once: int) -> Workload:
-    """One iteration of every run of a study with one seed, slice by slice, the preset `fast`."""
+def study(alphas: tuple[float, ...], parallel_runs: int) -> Workload:
+    """One iteration of every run of a study with one seed, batch by batch, the preset `fast`."""
     grid = (("sampler", ("pec",)), ("sampler.alpha", alphas))
-    settings = StudySettings("own", PRESETS["fast"], grid, seeds=(0,), at_once=at_once)
+    settings = StudySettings("own", PRESETS["fast"], grid, seeds=(0,), parallel_runs=parallel_runs)
     task, world = settings.run.task.make()
     programs, states = {}, []
-    for specs in settings.slices():
+    for specs in settings.batches():
         number = len(specs)
         if number not in programs:
             programs[number] = several_runs(settings.run, task, world, number)
         found = {"alpha": [numbers(spec)["alpha"] for spec in specs]}
-        states.append((number, programs[number].begin([spec.seed for spec in specs], found)))
+        states.append((number, programs[number].init([spec.seed for spec in specs], found)))
 
     def run() -> None:
         for place, (number, state) in enumerate(states):
@@ -35,7 +35,7 @@ def study(alphas: tuple[float, ...], at_once: int) -> Workload:
             jax.block_until_ready(metrics)
             states[place] = (number, state)
 
-    amount = len(alphas) * programs[at_once].program.steps_per_iteration
+    amount = len(alphas) * programs[parallel_runs].program.steps_per_iteration
     return Workload(run, amount, "control steps/s")
 
 

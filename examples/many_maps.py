@@ -61,9 +61,9 @@ def main(iterations: int = 150, number: int = 2000) -> tuple[float, float]:
     """Trains; returns and prints the goal ratio in the maps of the training and in others."""
     settings = pecjax.RunSettings(task=Halls(number))
     settings = pecjax.set_path(settings, "stop.iterations", iterations)
-    fly = pecjax.train(settings).trained.evaluator()
-    seen = float(fly().success.mean())
-    unseen = float(fly(Halls(number, seed=1).make()[1]).success.mean())
+    evaluate = pecjax.train(settings).trained.evaluator()
+    seen = float(evaluate().success.mean())
+    unseen = float(evaluate(Halls(number, seed=1).make()[1]).success.mean())
     print(f"goal ratio in the maps of the training {seen:.3f}, in maps never seen {unseen:.3f}")
     return seen, unseen
 

@@ -48,7 +48,7 @@ def main(scale: str = "smoke", folder: Path = Path("studies")) -> None:
     """Trains each sampler from the same seeds, and prints how they compare."""
     grid = {"sampler": (f"{__name__}:Learnability", "pec", "uniform"), "sampler.alpha": (0.2,)}
     study = find_study("fig4", scale)
-    study = replace(study, name="own", grid=tuple(grid.items()), at_once=len(jax.devices()))
+    study = replace(study, name="own", grid=tuple(grid.items()), parallel_runs=len(jax.devices()))
     run_study(study, folder / f"own-sampler-{scale}")
     print(write_report(folder / f"own-sampler-{scale}"))
 

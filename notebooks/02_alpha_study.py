@@ -43,7 +43,7 @@ from pecjax.studies.tables import StudyTables, read_study
 # Samplers × α × seeds; change any of them for a study of your own (and give it another folder).
 
 # %%
-study = dataclasses.replace(find_study("fig11", SCALE), at_once=len(jax.devices()))
+study = dataclasses.replace(find_study("fig11", SCALE), parallel_runs=len(jax.devices()))
 alphas = study.values_of("sampler.alpha")
 print(f"α in {alphas}, seeds {study.seeds}, {study.run.stop.iterations} iterations each")
 

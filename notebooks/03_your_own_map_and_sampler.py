@@ -98,7 +98,7 @@ study = dataclasses.replace(
     run=override(study.run, scene=(str(folder / "map.xml"),), iterations=min(study.run.stop.iterations, 90)),
     grid=tuple(grid.items()),
     seeds=(0, 1),
-    at_once=len(jax.devices()),
+    parallel_runs=len(jax.devices()),
 )
 run_study(study, folder / "study")
 print(study_report.write_report(folder / "study"))

@@ -264,12 +264,12 @@ def main() -> None:
     parser.add_argument("--inputs", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    begun = time.perf_counter()
+    started = time.perf_counter()
     with tempfile.TemporaryDirectory() as name:
         found = fuzz(args.inputs, args.seed, sample_run(Path(name) / "run"))
     for (kind, fate), number in sorted(found.items()):
         print(f"{kind:12} {fate:8} {number:6}")
-    seconds = time.perf_counter() - begun
+    seconds = time.perf_counter() - started
     print(f"{found.total()} inputs, no traceback, none over {SECONDS} s; {seconds:.0f} s in all")
 
 

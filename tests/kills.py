@@ -1,4 +1,4 @@
-"""Kills a training or a study again and again, lets it go on, and compares with one left alone.
+"""Kills a training or a study again and again, lets it resume, and compares with one left alone.
 
     python tests/kills.py [--what training|study] [--kills 50] [--seed 0]
 
@@ -58,7 +58,7 @@ else:
 """
 STUDY = """
 run = replace(smoke.run, evaluation=replace(smoke.run.evaluation, every=1, episodes=3))
-study.run_study(replace(smoke, run=run, seeds=tuple(range(size)), at_once=1), folder)
+study.run_study(replace(smoke, run=run, seeds=tuple(range(size)), parallel_runs=1), folder)
 """
 
 
@@ -66,9 +66,9 @@ class Victim(NamedTuple):
     """What is killed.
 
     Attributes:
-        script: goes on with what is in the folder, or begins it.
+        script: resumes what is in the folder, or starts it.
         size: iterations of a training, seeds of a study.
-        progress: of a folder, a number that grows as it goes on.
+        progress: of a folder, a number that grows as it runs.
         digest: of a folder, sums of all that is left at the end, but for the time it took.
     """
 
@@ -109,27 +109,27 @@ def training(iterations: int) -> Victim:
 
 
 def study(seeds: int) -> Victim:
-    """A study of two samplers; each of its slices is one run of four iterations."""
+    """A study of two samplers; each of its batches is one run of four iterations."""
     return Victim(
         STUDY,
         seeds,
-        lambda folder: len(list((folder / "slices").glob("[0-9]*"))),
-        lambda folder: sums_of(folder, "*.csv", "study.json", "task-*/*", "slices/*/*", "slices/.*"),
+        lambda folder: len(list((folder / "batches").glob("[0-9]*"))),
+        lambda folder: sums_of(folder, "*.csv", "study.json", "task-*/*", "batches/*/*", "batches/.*"),
     )
 
 
-def kill_and_go_on(victim: Victim, folder: Path, cache: Path, kills: int, rng: random.Random) -> int:
-    """Goes on to the end through so many kills; returns how many struck before it."""
-    done, said = 0, folder.with_suffix(".err")
+def kill_and_resume(victim: Victim, folder: Path, cache: Path, kills: int, rng: random.Random) -> int:
+    """Runs to the end through so many kills; returns how many struck before it."""
+    done, errors = 0, folder.with_suffix(".err")
     while True:
         before = victim.progress(folder)
-        with said.open("w") as file:  # a pipe that nobody empties would hold it up
+        with errors.open("w") as file:  # a pipe that nobody empties would hold it up
             process = subprocess.Popen(victim.command(folder, cache), stderr=file)
         if done < kills:
-            # One in five before it goes on at all; the others within two seconds of its first step.
+            # One in five before it starts at all; the others within two seconds of its first step.
             early, deadline = rng.random() < 0.2, time.monotonic() + HUNG_SECONDS
             while not early and process.poll() is None and victim.progress(folder) <= before:
-                assert time.monotonic() < deadline, "did not go on"
+                assert time.monotonic() < deadline, "made no progress"
                 time.sleep(0.005)
             time.sleep(rng.uniform(0, 6 if early else 2) * rng.random())
             if process.poll() is None:
@@ -138,7 +138,7 @@ def kill_and_go_on(victim: Victim, folder: Path, cache: Path, kills: int, rng: r
                 done += 1
                 print(f"kill {done} of this run, at {victim.progress(folder)}", flush=True)
                 continue
-        assert process.wait() == 0, said.read_text()[-2000:]
+        assert process.wait() == 0, errors.read_text()[-2000:]
         return done
 
 
@@ -159,7 +159,7 @@ def main() -> None:
         while struck < args.kills:
             runs += 1
             folder = home / f"killed-{runs}"
-            struck += kill_and_go_on(victim, folder, cache, args.kills - struck, rng)
+            struck += kill_and_resume(victim, folder, cache, args.kills - struck, rng)
             found = victim.digest(folder)
             assert found == wanted, {name for name in wanted | found if found.get(name) != wanted.get(name)}
             print(f"{struck} kills, {runs} run(s), every file as in the run left alone", flush=True)

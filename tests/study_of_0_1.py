@@ -26,7 +26,7 @@ def as_version_0_1(folder):
     directory = StudyDirectory(folder)
     settings = directory.settings()
     results, counts = [], []
-    for path, arrays in directory.configurations(len(settings.slices())):
+    for path, arrays in directory.configurations(len(settings.batches())):
         rows = pd.read_csv(path / "results.csv", dtype=str)
         flat = {name: arrays[name].reshape(len(rows), -1) for name in ("trials", "failures", "goal_ratio")}
         configs = range(flat["trials"].shape[1])
@@ -38,7 +38,7 @@ def as_version_0_1(folder):
         (path / "configurations.npz").unlink()
     pd.concat(results).to_csv(folder / "results.csv", index=False)
     pd.concat(counts).to_csv(folder / "configurations.csv", index=False)
-    tables = [settings.settings_of(part[0]).task.table for part in settings.slices()]
+    tables = [settings.settings_of(part[0]).task.table for part in settings.batches()]
     for number, table in enumerate(dict.fromkeys(tables)):
         kept = folder / f"task-{number}"
         (kept / "coordinates.csv").rename(folder / f"coordinates-{table}.csv")
@@ -53,7 +53,7 @@ def as_version_0_1(folder):
         "alphas": settings.values_of("sampler.alpha"),
         "coordinates": settings.values_of("task.table"),
         "seeds": settings.seeds,
-        "at_once": settings.at_once,
+        "at_once": settings.parallel_runs,
         "grid": [],
     }
     (folder / "study.json").write_text(json.dumps(content))

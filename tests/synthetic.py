@@ -21,7 +21,7 @@ EPISODES = 10  # of each configuration, a training iteration and an evaluation
 def study_settings(alphas=(0.2,), seeds=(0, 1, 2), coordinates=("1",), samplers=("pec", "uniform")):
     run = override(find_study("fig4", "smoke").run, iterations=EVALUATIONS * EVERY, evaluate_every=EVERY)
     grid = {"task.table": coordinates, "sampler": samplers, "sampler.alpha": alphas}
-    return StudySettings("made up", run, tuple(grid.items()), seeds, at_once=1)
+    return StudySettings("made up", run, tuple(grid.items()), seeds, parallel_runs=1)
 
 
 def write_study(folder, settings, ratio, scene=None):
@@ -34,18 +34,18 @@ def write_study(folder, settings, ratio, scene=None):
     if scene is not None:
         settings = replace(settings, run=override(settings.run, scene=(str(scene),)))
     directory = StudyDirectory(folder)
-    slices = settings.slices()
-    tasks = dict.fromkeys(settings.settings_of(spec).task for (spec,) in slices)
+    batches = settings.batches()
+    tasks = dict.fromkeys(settings.settings_of(spec).task for (spec,) in batches)
     sizes = {task: task.configurations().size for task in tasks}
     with directory.open(settings, [*tasks], 1):
-        for number, (spec,) in enumerate(slices):
+        for number, (spec,) in enumerate(batches):
             of_run = settings.settings_of(spec)
             collected = Collected([settings.row(spec)])
             for iteration in range(1, EVALUATIONS * EVERY + 1):
                 value = ratio(of_run, iteration / (EVALUATIONS * EVERY))
                 add(collected, iteration, sizes[of_run.task], value)
-            directory.write_slice(number, collected)
-        directory.merge_tables(len(slices))
+            directory.write_batch(number, collected)
+        directory.merge_tables(len(batches))
     return folder
 
 

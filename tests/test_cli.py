@@ -428,7 +428,7 @@ def test_bad_options_of_train(options, words, refused):
         (["--seeds", "0-"], ["seeds: '0-' is neither"]),
         (["--seeds", "9-0"], ["'9-0' must rise"]),
         (["--seeds", "0-4", "3"], ["seeds names 3 more than once"]),
-        (["--at-once", "0"], ["at-once is 0"]),
+        (["--parallel-runs", "0"], ["parallel-runs is 0"]),
         (["--out", "file"], ["file: is a file"]),
     ],
     ids=lambda value: " ".join(value),

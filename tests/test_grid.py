@@ -35,7 +35,7 @@ def test_every_combination_is_a_run_and_a_sampler_has_its_own_settings_only():
     assert len(runs) == len(set(runs))
     by_sampler = pd.Series([dict(member.values)["sampler"] for member in runs]).value_counts()
     assert by_sampler.to_dict() == {"pec": 2 * 2 * 2, OWN: 2 * 2 * 2, "uniform": 2 * 2}
-    assert set(runs) == {member for part in GRID.slices() for member in part}
+    assert set(runs) == {member for part in GRID.batches() for member in part}
     for member in runs:
         settings = GRID.settings_of(member)
         assert settings.agent.learning_rate == dict(member.values)["agent.learning_rate"]
@@ -171,7 +171,7 @@ def test_a_run_of_a_grid_is_the_run_that_its_settings_make(tmp_path):
     run_study(study, tmp_path / "grid")
     found = pd.read_csv(tmp_path / "grid" / "metrics.csv")
     assert found.groupby(["sampler.floor", "agent.learning_rate"]).size().tolist() == [4] * 4
-    member = next(m for part in study.slices() for m in part if numbers(m) == {"floor": 0.5})
+    member = next(m for part in study.batches() for m in part if numbers(m) == {"floor": 0.5})
     settings = study.settings_of(member)
     alone = replace(study, run=settings, grid=(space, own, ("sampler.floor", (0.5,))))
     run_study(alone, tmp_path / "alone")

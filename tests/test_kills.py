@@ -13,6 +13,6 @@ pytestmark = pytest.mark.slow
 def test_what_is_killed_loses_nothing(victim, tmp_path):
     cache = tmp_path / "cache"
     subprocess.run(victim.command(tmp_path / "whole", cache), check=True, timeout=600)
-    struck = kills.kill_and_go_on(victim, tmp_path / "killed", cache, 3, random.Random(5))
+    struck = kills.kill_and_resume(victim, tmp_path / "killed", cache, 3, random.Random(5))
     assert struck >= 1
     assert victim.digest(tmp_path / "killed") == victim.digest(tmp_path / "whole")

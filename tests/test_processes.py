@@ -90,18 +90,18 @@ class One:
 @pytest.fixture
 def start(folders, tmp_path):
     """(arguments of each) -> the processes, which do not outlive the test."""
-    begun = []
+    started = []
 
     def start(*args):
         port = free_port()
         for index, own in enumerate(args):
             name = str(index) if len(args) > 1 else "alone"
             command = [sys.executable, "-c", TRAIN, name, str(port), str(folders / "compiled"), *own]
-            begun.append(One(command, tmp_path / f"process-{len(begun)}"))
-        return begun[-len(args) :]
+            started.append(One(command, tmp_path / f"process-{len(started)}"))
+        return started[-len(args) :]
 
     yield start
-    for one in begun:
+    for one in started:
         one.process.kill()
         one.process.wait()
 
@@ -153,7 +153,7 @@ TABLES = ("metrics", "evaluation")
 
 @pytest.mark.parametrize("agent", SETTINGS)
 def test_two_processes_train_as_one(agent, start, alone, tmp_path):
-    """And go on together from where they came to."""
+    """And resume together where they stopped."""
     folder = tmp_path / "run"
     args = ["--agent", agent, "--iterations", "2", "--out", str(folder)]
     assert exit_codes(start(args, args)) == [0, 0]
@@ -176,7 +176,7 @@ def test_a_process_that_dies_ends_the_others_and_the_run_goes_on(struck, start, 
     assert both[1 - struck].exit_code(SECONDS_TO_NOTICE) != 0
     line = both[1 - struck].only_line()
     assert processes.LOST in line and f"pecjax train --resume --out {folder}" in line
-    # What is there is whole: this process alone goes on from it, on as many devices.
+    # What is there is whole: this process alone resumes from it, on as many devices.
     done = max(int(path.stem) for path in folder.glob("states/[0-9]*.npz"))
     last = max(done + 1, 4)
     training.resume(override(SETTINGS["ppo"], iterations=last), folder)
@@ -203,11 +203,11 @@ def test_a_signal_to_one_stops_both_after_the_same_iteration(start, tmp_path):
 
 def test_ctrl_c_ends_a_process_that_is_alone_with_130(start, tmp_path):
     folder = tmp_path / "run"
-    begun = start(["--iterations", "100000", "--out", str(folder)])
-    wait_for("evaluation.csv", folder, begun)
-    begun[0].process.send_signal(signal.SIGINT)
-    assert exit_codes(begun, 120) == [130]
-    assert f"resume with pecjax train --resume --out {folder}" in begun[0].only_line()
+    started = start(["--iterations", "100000", "--out", str(folder)])
+    wait_for("evaluation.csv", folder, started)
+    started[0].process.send_signal(signal.SIGINT)
+    assert exit_codes(started, 120) == [130]
+    assert f"resume with pecjax train --resume --out {folder}" in started[0].only_line()
 
 
 @pytest.mark.parametrize(
@@ -215,7 +215,7 @@ def test_ctrl_c_ends_a_process_that_is_alone_with_130(start, tmp_path):
     [
         ((["--seed", "1"], ["--seed", "2"]), ["settings that differ"] * 2),
         ((["--coordinates", "1"], ["--coordinates", "2"]), ["settings that differ"] * 2),
-        ((["--alpha", "0.1"], ["--alpha", "-1"]), ["another process could not begin", "alpha is -1"]),
+        ((["--alpha", "0.1"], ["--alpha", "-1"]), ["another process could not start", "alpha is -1"]),
     ],
 )
 def test_processes_that_cannot_begin_together(args, lines, start, tmp_path):

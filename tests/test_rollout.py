@@ -381,6 +381,6 @@ def test_walks_begin_in_all_configurations_and_are_carried_on(walks):
     _, (_, episodes) = walks
     done = episodes.outcomes.done
     assert set(np.unique(episodes.outcomes.config_id[done])) == {0, 1, 2}
-    begun_before = np.argwhere(done)[:, 0] % 5 + 1 < episodes.outcomes.length[done]
-    assert begun_before.sum() > 20
+    started_before = np.argwhere(done)[:, 0] % 5 + 1 < episodes.outcomes.length[done]
+    assert started_before.sum() > 20
     assert episodes.outcomes.signal is None

@@ -81,7 +81,7 @@ def test_none_can_be_said(monkeypatch):
 
 
 def run_with(monkeypatch, *words):
-    """The settings that a training would be begun with."""
+    """The settings that a training would be started with."""
     seen = []
 
     class SeenError(Exception):

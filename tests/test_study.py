@@ -87,14 +87,14 @@ def study(folders, settings):
 
 
 def counted(folder):
-    """The arrays of all configurations, slice by slice."""
-    paths = sorted(folder.glob("slices/[0-9][0-9][0-9][0-9]/configurations.npz"))
+    """The arrays of all configurations, batch by batch."""
+    paths = sorted(folder.glob("batches/[0-9][0-9][0-9][0-9]/configurations.npz"))
     return [dict(np.load(path)) for path in paths]
 
 
 def digests(folder):
     tables = [folder / f"{name}.csv" for name in TABLES]
-    arrays = sorted(folder.glob("slices/[0-9][0-9][0-9][0-9]/configurations.npz"))
+    arrays = sorted(folder.glob("batches/[0-9][0-9][0-9][0-9]/configurations.npz"))
     return {
         str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in (*tables, *arrays)
@@ -107,13 +107,13 @@ def test_the_papers_studies_can_be_run_and_cover_their_grids(name, scale):
     study = find_study(name, scale)
     study.check()
     assert study.name == name
-    flown = [member for part in study.slices() for member in part]
+    flown = [member for part in study.batches() for member in part]
     assert len(flown) == len(set(flown)) == sum(map(len, study.groups()))
-    for part in study.slices():
-        assert 1 <= len(part) <= study.at_once
+    for part in study.batches():
+        assert 1 <= len(part) <= study.parallel_runs
         assert len({fixed(member.values) for member in part}) == 1
     # Whatever is finished first can be paired: low seeds come first.
-    firsts = [part[0].seed for part in study.slices()]
+    firsts = [part[0].seed for part in study.batches()]
     assert firsts == sorted(firsts)
 
 
@@ -154,7 +154,7 @@ def test_alpha_is_of_samplers_that_have_one(settings):
         ({"grid": grid_of("1", samplers=("uniform",))}, "none of uniform has sampler.alpha"),
         ({"seeds": (3, 1, 3)}, "seeds names 3 more than once"),
         ({"seeds": (-3,)}, "seed is -3"),
-        ({"at_once": 0}, "at-once is 0"),
+        ({"parallel_runs": 0}, "parallel-runs is 0"),
         ({"run": override(TINY, until_goal_ratio=0.9)}, "until-goal-ratio"),
     ],
 )
@@ -203,7 +203,7 @@ def test_its_tables_have_a_row_for_everything(study, settings):
     np.testing.assert_allclose((trials - failures).sum(axis=-1), successes[:, 1:], atol=1e-3)
 
 
-def test_a_study_of_the_first_version_is_read_and_not_gone_on_with(study, settings, tmp_path):
+def test_a_study_of_the_first_version_is_read_and_not_resumed(study, settings, tmp_path):
     """It named samplers by words, had an α of all runs, and no further grid."""
     folder = tmp_path / "study"
     shutil.copytree(study, folder)
@@ -265,24 +265,24 @@ def test_a_study_that_was_stopped_ends_byte_for_byte_the_same(
     finished, study, settings, tmp_path, monkeypatch, capsys
 ):
     folder = tmp_path / "study"
-    write = StudyDirectory.write_slice
+    write = StudyDirectory.write_batch
 
     def stop(self, number, *args):
         if number == finished:
-            (self.folder / "slices" / f".{number:04}").mkdir()  # as a kill in the middle would leave it
+            (self.folder / "batches" / f".{number:04}").mkdir()  # as a kill in the middle would leave it
             raise KilledError
         write(self, number, *args)
 
-    monkeypatch.setattr(StudyDirectory, "write_slice", stop)
+    monkeypatch.setattr(StudyDirectory, "write_batch", stop)
     with pytest.raises(KilledError):
         run_study(settings, folder)
-    monkeypatch.setattr(StudyDirectory, "write_slice", write)
-    there = sorted((folder / "slices").glob("0*/results.csv"))
+    monkeypatch.setattr(StudyDirectory, "write_batch", write)
+    there = sorted((folder / "batches").glob("0*/results.csv"))
     assert len(there) == finished
     before = [path.stat().st_mtime_ns for path in there]
     capsys.readouterr()
     run_study(settings, folder)
-    assert f"{finished} of 3 slices are there" in capsys.readouterr().err
+    assert f"{finished} of 3 batches are there" in capsys.readouterr().err
     assert digests(folder) == digests(study)
     assert [path.stat().st_mtime_ns for path in there] == before  # what was finished was not repeated
 
@@ -301,23 +301,23 @@ def test_a_signal_stops_a_study_between_evaluations(asked, study, settings, tmp_
         with pytest.raises(StoppedError, match="the same command keeps what is finished") as stop:
             run_study(settings, tmp_path / "study")
     assert stop.value.signal == asked and told == [1]
-    assert not list((tmp_path / "study" / "slices").iterdir())
+    assert not list((tmp_path / "study" / "batches").iterdir())
     run_study(settings, tmp_path / "study")
     assert digests(tmp_path / "study") == digests(study)
 
 
 @pytest.mark.slow
-def test_a_signal_at_the_end_of_a_slice_keeps_it_and_begins_no_other(settings, tmp_path, monkeypatch):
-    write = StudyDirectory.write_slice
+def test_a_signal_at_the_end_of_a_batch_keeps_it_and_begins_no_other(settings, tmp_path, monkeypatch):
+    write = StudyDirectory.write_batch
 
     def interrupt(self, number, *args):
         os.kill(os.getpid(), signal.SIGINT)
         write(self, number, *args)
 
-    monkeypatch.setattr(StudyDirectory, "write_slice", interrupt)
+    monkeypatch.setattr(StudyDirectory, "write_batch", interrupt)
     with pytest.raises(StoppedError):
         run_study(settings, tmp_path / "study")
-    assert [path.name for path in (tmp_path / "study" / "slices").iterdir()] == ["0000"]
+    assert [path.name for path in (tmp_path / "study" / "batches").iterdir()] == ["0000"]
     assert len(pd.read_csv(tmp_path / "study" / "results.csv")) == 2 * 2
 
 
@@ -325,7 +325,7 @@ def test_a_signal_at_the_end_of_a_slice_keeps_it_and_begins_no_other(settings, t
 def test_a_full_disk_is_said_and_the_study_goes_on_afterwards(study, settings, tmp_path):
     folder = tmp_path / "study"
     shutil.copytree(study, folder)
-    shutil.rmtree(folder / "slices" / "0001")
+    shutil.rmtree(folder / "batches" / "0001")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))  # no file may grow beyond it
     try:
@@ -358,15 +358,15 @@ def test_a_study_whose_runs_all_diverge_ends_with_one_line_and_does_not_repeat_t
 def test_a_run_that_diverges_is_left_out_and_all_others_are_made(
     study, settings, tmp_path, monkeypatch, capsys
 ):
-    """As if PEC with α = 3 and seed 4 diverged: the second run of the first slice."""
+    """As if PEC with α = 3 and seed 4 diverged: the second run of the first batch."""
     folder, asked, make = tmp_path / "study", [], study_run.several_runs
 
     def diverging(*args):
         made, at = make(*args), {}
 
-        def begin(seeds, numbers):
+        def init(seeds, numbers):
             at.update(seeds=list(seeds), iteration=0)
-            return made.begin(seeds, numbers)
+            return made.init(seeds, numbers)
 
         def iterate(state):
             state, metrics = made.program.iterate(state)
@@ -377,7 +377,7 @@ def test_a_run_that_diverges_is_left_out_and_all_others_are_made(
                 metrics = metrics._replace(finite=finite)
             return state, metrics
 
-        return made._replace(begin=begin, program=made.program._replace(iterate=iterate))
+        return made._replace(init=init, program=made.program._replace(iterate=iterate))
 
     monkeypatch.setattr(study_run, "several_runs", diverging)
     for _ in range(2):
@@ -403,7 +403,7 @@ def test_a_run_that_diverges_is_left_out_and_all_others_are_made(
     assert "1 pairs" in out and "smoke" not in out.replace(str(folder), "")
     assert err.count("a smoke study tries the program out; its runs are too short to learn") == 2
     assert err.splitlines()[0].endswith("anything")
-    shutil.rmtree(folder / "slices" / "0000")
+    shutil.rmtree(folder / "batches" / "0000")
     monkeypatch.setattr(study_run, "several_runs", make)
     run_study(settings, folder)
     assert digests(folder) == digests(study)
@@ -427,10 +427,10 @@ def test_a_finished_study_only_gathers(study, settings, monkeypatch):
         ),
     ],
 )
-def test_a_damaged_slice_is_found_said_and_made_again(damage, study, settings, tmp_path, capsys):
+def test_a_damaged_batch_is_found_said_and_made_again(damage, study, settings, tmp_path, capsys):
     folder = tmp_path / "study"
     shutil.copytree(study, folder)
-    path = folder / "slices" / "0001" / "results.csv"
+    path = folder / "batches" / "0001" / "results.csv"
     text = path.read_text()
     if damage == "a changed figure":
         path.write_text(text.replace("1024", "1023", 1))
@@ -449,7 +449,7 @@ def test_a_damaged_slice_is_found_said_and_made_again(damage, study, settings, t
         (path.parent / "SHA256SUMS").write_text("")
     run_study(settings, folder)
     err = capsys.readouterr().err
-    assert "0001: not as it was written; made again" in err and "2 of 3 slices are there" in err
+    assert "0001: not as it was written; made again" in err and "2 of 3 batches are there" in err
     assert digests(folder) == digests(study)
 
 
@@ -468,7 +468,7 @@ def test_another_studys_folder_is_refused_and_the_difference_named(study, settin
     )
     more = (*settings.grid, ("agent.clip_epsilon", (0.1,)))
     assert "grid.agent.clip_epsilon (None there, [0.1] here)" in refusal(grid=more)
-    assert "order of the grid (['task.table'" in refusal(grid=settings.grid[::-1])  # slices follow it
+    assert "order of the grid (['task.table'" in refusal(grid=settings.grid[::-1])  # batches follow it
     versions = study_directory.environment_facts(1)
     versions["versions"]["jax"] = "0.1"
     monkeypatch.setattr(study_directory, "environment_facts", lambda _: versions)
@@ -482,7 +482,7 @@ def test_another_studys_folder_is_refused_and_the_difference_named(study, settin
 
 
 def commits(folder):
-    texts = [path.read_text() for path in sorted((folder / "slices").glob("*/provenance.json"))]
+    texts = [path.read_text() for path in sorted((folder / "batches").glob("*/provenance.json"))]
     return [json.loads(text)["git_commit"] for text in texts]
 
 
@@ -490,24 +490,24 @@ def test_a_study_that_goes_on_at_another_commit_says_so_and_keeps_both(study, se
     folder = tmp_path / "study"
     shutil.copytree(study, folder)
     began = json.loads((study / "study.json").read_text())
-    shutil.rmtree(folder / "slices" / "0001")
+    shutil.rmtree(folder / "batches" / "0001")
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(provenance, "git_commit", lambda: "f00df00d-dirty")
         run_study(settings, folder)
     commit = began["git_commit"]
     assert commits(folder) == [commit, "f00df00d-dirty", commit] and commits(study) == [commit] * 3
     if commit:  # the tests may run outside a checkout
-        words = f"begun at commit {provenance.short_commit(commit)} and resumed at f00df00-dirty"
+        words = f"started at commit {provenance.short_commit(commit)} and resumed at f00df00-dirty"
         assert words in capsys.readouterr().err
     assert digests(folder) == digests(study)
     assert (folder / "study.json").read_bytes() == (study / "study.json").read_bytes()
 
 
-def test_slices_need_no_provenance(study, settings, tmp_path, monkeypatch):
+def test_batches_need_no_provenance(study, settings, tmp_path, monkeypatch):
     monkeypatch.setattr(study_run, "several_runs", None)
     folder = tmp_path / "study"
     shutil.copytree(study, folder)
-    for path in (folder / "slices").glob("*/SHA256SUMS"):
+    for path in (folder / "batches").glob("*/SHA256SUMS"):
         (path.parent / "provenance.json").unlink()
         lines = path.read_text().splitlines(True)
         path.write_text("".join(line for line in lines if "provenance" not in line))
@@ -515,11 +515,11 @@ def test_slices_need_no_provenance(study, settings, tmp_path, monkeypatch):
     assert digests(folder) == digests(study)
 
 
-def test_a_slice_with_an_empty_table_is_no_traceback(study, settings, tmp_path, monkeypatch):
+def test_a_batch_with_an_empty_table_is_no_traceback(study, settings, tmp_path, monkeypatch):
     monkeypatch.setattr(study_run, "several_runs", None)
     folder = tmp_path / "study"
     shutil.copytree(study, folder)
-    path = folder / "slices" / "0001" / "metrics.csv"
+    path = folder / "batches" / "0001" / "metrics.csv"
     sums = path.with_name("SHA256SUMS")
     empty = hashlib.sha256(b"").hexdigest()
     sums.write_text(sums.read_text().replace(hashlib.sha256(path.read_bytes()).hexdigest(), empty))
@@ -535,7 +535,7 @@ def test_a_study_that_begins_while_another_looks_at_the_folder_is_left_alone(set
         free(path)
         monkeypatch.setattr(study_directory.files, "check_free", free)
         with monkeypatch.context() as patched:
-            patched.setattr("pecjax.studies.run._make_slices", lambda *_: None)
+            patched.setattr("pecjax.studies.run._make_batches", lambda *_: None)
             run_study(replace(settings, seeds=(9,)), folder)
 
     monkeypatch.setattr(study_directory.files, "check_free", look)
@@ -546,14 +546,14 @@ def test_a_study_that_begins_while_another_looks_at_the_folder_is_left_alone(set
         run_study(settings, folder)
 
 
-def test_what_else_lies_among_the_slices_is_left_alone(study, settings, tmp_path):
+def test_what_else_lies_among_the_batches_is_left_alone(study, settings, tmp_path):
     folder = tmp_path / "study"
     shutil.copytree(study, folder)
-    shutil.copytree(folder / "slices" / "0001", folder / "slices" / "0001 copy")
-    (folder / "slices" / ".DS_Store").write_text("")
+    shutil.copytree(folder / "batches" / "0001", folder / "batches" / "0001 copy")
+    (folder / "batches" / ".DS_Store").write_text("")
     run_study(settings, folder)
     assert digests(folder) == digests(study)
-    assert (folder / "slices" / ".DS_Store").exists()
+    assert (folder / "batches" / ".DS_Store").exists()
 
 
 @pytest.mark.slow
@@ -614,7 +614,7 @@ def test_the_report_is_of_the_tables(study):
     assert found.better == (difference > 0).sum() and found.worse == (difference < 0).sum()
     assert found.p in (0.5, 1.0)  # all that two pairs can have
     # Nothing this short holds a threshold: no figure is made up for it.
-    never = paired.loc[("pec, α = 3", "steps_until_0.95")]
+    never = paired.loc[("pec, α = 3", "steps_to_0.95")]
     assert never.pairs == 0 and np.isnan(never.difference) and np.isnan(never.p)
 
 

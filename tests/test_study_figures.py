@@ -17,7 +17,7 @@ INF = np.inf
 def made_runs(**steps):
     """A row a run: the steps until 0.9 of each condition, seed by seed; 0.95 takes half as long again."""
     rows = [
-        {"condition": condition, "seed": seed, "steps_until_0.9": at, "steps_until_0.95": 1.5 * at}
+        {"condition": condition, "seed": seed, "steps_to_0.9": at, "steps_to_0.95": 1.5 * at}
         for condition, values in steps.items()
         for seed, at in enumerate(values)
     ]
@@ -95,7 +95,7 @@ def test_where_no_run_held_no_scale_is_made_up():
 
 def test_a_threshold_that_no_run_held_beside_one_that_some_did():
     runs = made_runs(a=[1e6, 2e6], b=[1e6, 1e6])
-    figure = study_ends.steps_to_threshold(runs.assign(**{"steps_until_0.95": INF}))
+    figure = study_ends.steps_to_threshold(runs.assign(**{"steps_to_0.95": INF}))
     left, right = figure.axes
     np.testing.assert_allclose(drawn_points(left)[:, 1], [1, 2, 1, 1])
     for axes in (left, right):

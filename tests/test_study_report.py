@@ -103,22 +103,22 @@ def test_two_runs_of_one_name_are_refused_in_one_line(near_alphas, tmp_path):
 @pytest.mark.parametrize(
     ("damage", "words"),
     [
-        (lambda arrays: arrays.pop("failures"), r"0001: not the arrays of a slice \(KeyError\('failures'"),
+        (lambda arrays: arrays.pop("failures"), r"0001: not the arrays of a batch \(KeyError\('failures'"),
         (
             lambda arrays: arrays.update(iteration=np.arange(3)),
-            r"0001: not the arrays of a slice \(ValueError",
+            r"0001: not the arrays of a batch \(ValueError",
         ),
-        (lambda arrays: arrays.update(trials=arrays["trials"][0]), "0001: not the arrays of a slice"),
+        (lambda arrays: arrays.update(trials=arrays["trials"][0]), "0001: not the arrays of a batch"),
         (
             lambda arrays: arrays.update(goal_ratio=np.full((1, 8, 20), "x")),
-            "0001: not the arrays of a slice",
+            "0001: not the arrays of a batch",
         ),
         (None, "uniform, seed 0 it has results and no configurations; the command that"),
     ],
 )
-def test_slices_that_do_not_belong_to_the_tables_get_one_line(damage, words, tmp_path):
+def test_batches_that_do_not_belong_to_the_tables_get_one_line(damage, words, tmp_path):
     folder = write_study(tmp_path / "study", study_settings(seeds=(0,)), lambda run, progress: progress)
-    path = folder / "slices" / "0001" / "configurations.npz"
+    path = folder / "batches" / "0001" / "configurations.npz"
     if damage is None:
         shutil.rmtree(path.parent)
     else:
@@ -128,7 +128,7 @@ def test_slices_that_do_not_belong_to_the_tables_get_one_line(damage, words, tmp
     with pytest.raises(pecjax.InputError, match=words) as error:
         study_report.write_report(folder)
     assert "\n" not in str(error.value)
-    shutil.rmtree(folder / "slices")
+    shutil.rmtree(folder / "batches")
     with pytest.raises(pecjax.InputError, match="none is there; resume the study"):
         read_study(folder)
 

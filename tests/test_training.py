@@ -342,7 +342,7 @@ def test_a_map_with_files_of_its_own_is_kept_whole_or_refused(tmp_path, edited_r
     path = path.rename(path.parent / "meshes" / "rooms.xml")
     (path.parent / "m.obj").write_text(TETRAHEDRON)
     # Everything up to the first iteration is what this is about.
-    monkeypatch.setattr(training, "begun", lambda session: (None, None))
+    monkeypatch.setattr(training, "started", lambda session: (None, None))
 
     def loop(session, *_):
         (scene,) = session.settings.task.scenes()
@@ -445,7 +445,7 @@ def test_a_run_ends_once_its_goal_ratio_has_been_held(folders, near_goals):
     ],
 )
 def test_devices_that_stay_idle_are_named(agent, num_envs, wanted, words, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(training, "begun", lambda session: (Position(None), None))
+    monkeypatch.setattr(training, "started", lambda session: (Position(None), None))
     monkeypatch.setattr(training, "_loop", lambda *_: {})
     settings = override(presets.find_preset(agent=agent), num_envs=num_envs)
     if agent == "apex":

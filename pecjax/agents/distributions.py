@@ -61,10 +61,10 @@ def make_distribution(space: Any) -> Distribution:
 def categorical(num_actions: int) -> Distribution:
     """Parameters are logits (…, A), an action an int32 in [0, A)."""
 
-    def draw(logits: jax.Array, chance: jax.Array) -> jax.Array:
-        """Inverts the distribution function at `chance` (…,), uniform in [0, 1)."""
+    def draw(logits: jax.Array, uniform: jax.Array) -> jax.Array:
+        """Inverts the distribution function at `uniform` (…,), uniform in [0, 1)."""
         reached = jnp.cumsum(jax.nn.softmax(logits), axis=-1)[..., :-1]
-        return jnp.sum(chance[..., None] >= reached, axis=-1, dtype=jnp.int32)
+        return jnp.sum(uniform[..., None] >= reached, axis=-1, dtype=jnp.int32)
 
     def log_prob(logits: jax.Array, action: jax.Array) -> jax.Array:
         return jnp.take_along_axis(jax.nn.log_softmax(logits), action[..., None], axis=-1)[..., 0]

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from pecjax.curriculum.base import Outcomes
 from pecjax.envs.task import Reduction, Transition
 
-_BEGIN = {"sum": 0.0, "mean": 0.0, "min": jnp.inf, "max": -jnp.inf}
+_START = {"sum": 0.0, "mean": 0.0, "min": jnp.inf, "max": -jnp.inf}
 
 
 class Running(NamedTuple):
@@ -42,14 +42,14 @@ class Episodes(NamedTuple):
     metrics: dict[str, jax.Array]
 
 
-def begin(config_id: jax.Array, metrics: Mapping[str, Reduction]) -> Running:
+def start_episodes(config_id: jax.Array, metrics: Mapping[str, Reduction]) -> Running:
     """Episodes that have just been reset with these configurations (B,)."""
     nothing = jnp.zeros(config_id.shape)
-    running = {name: nothing + _BEGIN[how] for name, how in metrics.items() if how != "last"}
+    running = {name: nothing + _START[how] for name, how in metrics.items() if how != "last"}
     return Running(config_id, nothing, nothing.astype(jnp.int32), running)
 
 
-def go_on(
+def step_episodes(
     running: Running, transition: Transition, metrics: Mapping[str, Reduction]
 ) -> tuple[Running, Episodes]:
     """The episodes with one step more, and what they report should they end in it."""

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from pecjax.agents.episodes import Episodes, Running, begin, go_on, reset_where
+from pecjax.agents.episodes import Episodes, Running, reset_where, start_episodes, step_episodes
 from pecjax.agents.sharding import env_keys
 from pecjax.curriculum.base import Sampler
 from pecjax.envs.task import Task, World, take_configs
@@ -92,7 +92,7 @@ def init_rollout(
     draws = jax.tree.map(lambda leaf: leaf[0], _draw(sampler, sampler_state, lambda key: (), keys, 1))
     state = _reset(task, world, draws)
     return RolloutState(
-        state, _observe(task, world, draws.observe, state), begin(draws.config_id, task.metrics)
+        state, _observe(task, world, draws.observe, state), start_episodes(draws.config_id, task.metrics)
     )
 
 
@@ -130,7 +130,7 @@ def rollout(
     def step(envs: RolloutState, draws: _Draws) -> tuple[RolloutState, tuple[Trajectory, Episodes]]:
         action, extras = policy.act(envs.obs, draws.noise)
         after = jax.vmap(task.step, in_axes=(0, 0, 0, None))(draws.step, envs.state, action, world.params)
-        running, episodes = go_on(envs.running, after, task.metrics)
+        running, episodes = step_episodes(envs.running, after, task.metrics)
         done = episodes.outcomes.done
         bootstrap = None
         if task.truncates:
@@ -142,7 +142,7 @@ def rollout(
         envs = RolloutState(
             state,
             _observe(task, world, draws.observe, state),
-            reset_where(done, begin(draws.config_id, task.metrics), running),
+            reset_where(done, start_episodes(draws.config_id, task.metrics), running),
         )
         return envs, (trajectory, episodes)
 

@@ -1,4 +1,4 @@
-"""Drawing, begun only when it is asked for: pandas and matplotlib would hold up the rest by 2 s."""
+"""Drawing, imported only where it is used: pandas and matplotlib would hold up the rest by 2 s."""
 
 from __future__ import annotations
 

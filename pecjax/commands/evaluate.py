@@ -32,7 +32,7 @@ class Eval:
     Attributes:
         folder: the run's folder.
         checkpoint: the iteration it was saved at. (default: the newest)
-        episodes: how many to fly, spread evenly over the configurations.
+        episodes: how many, spread evenly over the configurations.
         sampled: draws actions from the policy; else the most likely one is taken.
         seed: of headings and drawn actions.
         json: prints one JSON object.
@@ -46,17 +46,17 @@ class Eval:
     json: bool = False
 
     def run(self) -> None:
-        """Flies and reports."""
+        """Runs the episodes and reports."""
         trained = open_run(self.folder, self.checkpoint)
         about = EvaluationSettings(episodes=self.episodes, seed=self.seed, greedy=not self.sampled)
         settings = dataclasses.replace(trained.settings, evaluation=about)
         check_settings(settings)
         run = trained.run
-        flights = compile_evaluator(run, settings, trained.learner)(trained.learner, run.world)
-        ratios = success_by_config(flights.config_id, flights.success, run.num_configs)
+        result = compile_evaluator(run, settings, trained.learner)(trained.learner, run.world)
+        ratios = success_by_config(result.config_id, result.success, run.num_configs)
         report = {
-            "goal_ratio": float(flights.success.mean()),
-            "mean_return": float(flights.returns.mean()),
+            "goal_ratio": float(result.success.mean()),
+            "mean_return": float(result.returns.mean()),
             "episodes": self.episodes,
             "per_configuration": [None if np.isnan(r) else float(r) for r in ratios],
             "greedy": about.greedy,

@@ -50,7 +50,7 @@ class Study:
         evaluate_every: iterations between evaluations. (default: as for the iterations)
         task: what is learned: rooms, or one of your own as my.module:Class. (default: rooms)
         scene: maps with their drone in MJCF, files or folders. (default: the paper's six rooms)
-        at_once: runs in one program. (default: as many as there are devices)
+        parallel_runs: runs in one program. (default: as many as there are devices)
         grid: another setting to vary, and its values: agent.learning_rate 1e-4 3e-4, or sampler.floor 0 0.1;
             may be given several times.
         out: the study's folder. (default: studies/NAME-SCALE, or studies/own)
@@ -68,7 +68,7 @@ class Study:
     evaluate_every: Option[int] = None
     task: Option[str] = None
     scene: Strings = None
-    at_once: Option[int] = None
+    parallel_runs: Option[int] = None
     grid: Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction] = ()
     out: Option[Path] = None
     settings: Rest = ()
@@ -97,9 +97,9 @@ class Study:
 
     def _settings(self, folder: Path) -> StudySettings:
         study = self._base()
-        at_once = self.at_once
-        if at_once is None and (folder / "study.json").is_file():
-            at_once = StudyDirectory(folder).settings().at_once  # as it was begun
+        parallel_runs = self.parallel_runs
+        if parallel_runs is None and (folder / "study.json").is_file():
+            parallel_runs = StudyDirectory(folder).settings().parallel_runs  # as it was started with
         if any(word.startswith("--sampler.") for word in self.settings):
             raise InputError("a study tries its samplers' numbers; give --samplers, --alphas and --grid")
         run = override(
@@ -115,7 +115,7 @@ class Study:
             run=run,
             grid=self._grid(study, run),
             seeds=study.seeds if self.seeds is None else read_seeds(self.seeds),
-            at_once=len(jax.devices()) if at_once is None else at_once,
+            parallel_runs=len(jax.devices()) if parallel_runs is None else parallel_runs,
         )
 
     def _grid(self, study: StudySettings, run: RunSettings) -> tuple[tuple[str, tuple], ...]:

@@ -39,11 +39,11 @@ def sample_ids(probabilities: jax.Array, key: jax.Array, shape: int | Sequence[i
     key, key_below = jax.random.split(key) if levels else (key, key)
     ids = jax.random.choice(key, mass.shape[0], shape, p=mass).astype(jnp.int32)
     # (1 - u) of [0, 1) is above 0, as `jax.random.choice` has it: what has no mass is never reached.
-    chances = 1 - jax.random.uniform(key_below, (len(levels), *shape))
-    for level, chance in zip(reversed(levels), chances, strict=True):
+    uniforms = 1 - jax.random.uniform(key_below, (len(levels), *shape))
+    for level, uniform in zip(reversed(levels), uniforms, strict=True):
         # A running sum, which is several times slower by `jnp.cumsum`.
         running = jnp.matmul(level, jnp.triu(jnp.ones((BRANCHES, BRANCHES))), precision="highest")
         running = jnp.where(level > 0, running, 0.0)
-        place = jnp.argmax(running[ids] >= (chance * running.max(axis=1)[ids])[..., None], axis=-1)
+        place = jnp.argmax(running[ids] >= (uniform * running.max(axis=1)[ids])[..., None], axis=-1)
         ids = ids * BRANCHES + place.astype(jnp.int32)
     return ids

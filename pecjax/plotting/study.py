@@ -25,12 +25,12 @@ def draw_study(folder: Path) -> list[Path]:
     """Draws every figure of a study, for each set of coordinates, into its `figures` folder.
 
     Raises:
-        InputError: the folder holds no study, or none of its slices is finished.
+        InputError: the folder holds no study, or none of its batches is finished.
     """
     directory = StudyDirectory(folder)
     settings = directory.settings()
     everything = read_study(folder)
-    tasks = dict.fromkeys(settings.settings_of(spec).task for part in settings.slices() for spec in part)
+    tasks = dict.fromkeys(settings.settings_of(spec).task for part in settings.batches() for spec in part)
     spaces: dict[str, TaskSettings] = {}
     for number, task in enumerate(tasks):
         space = space_name(dataclasses.replace(settings.run, task=task))

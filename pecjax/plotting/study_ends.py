@@ -27,13 +27,13 @@ def steps_to_threshold(runs: pd.DataFrame) -> Figure:
     """
     figure = Figure((8.4, 4.0), layout="constrained")
     names = list(dict.fromkeys(runs.condition))
-    steps = runs[[f"steps_until_{at:g}" for at in THRESHOLDS]].to_numpy()
+    steps = runs[[f"steps_to_{at:g}" for at in THRESHOLDS]].to_numpy()
     finite = steps[np.isfinite(steps)]
     unit, of_unit = steps_unit(finite.max(initial=0))
     zone = _Zone.above(finite / unit) if np.isinf(steps).any() else None
     top = 1.08 * finite.max() / unit if zone is None else zone.high
     for axes, at in zip(figure.subplots(1, 2, sharey=True), THRESHOLDS, strict=True):
-        table = runs.pivot(index="seed", columns="condition", values=f"steps_until_{at:g}")[names] / unit
+        table = runs.pivot(index="seed", columns="condition", values=f"steps_to_{at:g}")[names] / unit
         shown = table if zone is None else table.replace(np.inf, zone.middle)
         for _, row in shown.iterrows():
             axes.plot(range(len(names)), row, color="0.7", linewidth=0.8, zorder=1)

@@ -17,7 +17,7 @@ def use_all_cores() -> None:
     Call it before JAX is first used (in a notebook: in the first cell); an accelerator, where
     there is one, is used as ever.
     """
-    with contextlib.suppress(RuntimeError):  # JAX has begun, and keeps the devices that it has
+    with contextlib.suppress(RuntimeError):  # JAX has started, and keeps the devices that it has
         jax.config.update("jax_num_cpu_devices", num_cores())
 
 

@@ -103,7 +103,7 @@ def synchronized(what: Any = None) -> Iterator[None]:
         raise
     told = _tell(digest, well=True)
     if not told[:, 0].all():
-        raise InputError("another process could not begin; what it said itself tells why")
+        raise InputError("another process could not start; its own output tells why")
     if (told[:, 1:] != digest).any():
         raise InputError("the processes were started with settings that differ; give them all the same")
 

@@ -55,7 +55,7 @@ def read_settings(path: Path, kind: type[Settings], what: str, today: Callable[[
     """Reads the settings back that a file was written with.
 
     Args:
-        what: a run or a study; what the folder is said to lack.
+        what: a run or a study; what the folder lacks.
         today: makes of a former version's settings what is written today.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The sink that collects what the runs of a slice leave."""
+"""The sink that collects what the runs of a batch leave."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Study directories: finished slices, each whole or absent, and the tables merged from them."""
+"""Study directories: finished batches, each whole or absent, and the tables merged from them."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from pecjax.studies.grid import StudySettings
 from pecjax.training import former_versions
 
 _SUMS = "SHA256SUMS"
-_PROVENANCE = "provenance.json"  # of a slice; no times in it: the same code writes the same bytes
-_DIVERGED = "diverged.txt"  # of a slice, where some of its runs are not in its tables
+_PROVENANCE = "provenance.json"  # of a batch; no times in it: the same code writes the same bytes
+_DIVERGED = "diverged.txt"  # of a batch, where some of its runs are not in its tables
 _CONFIGURATIONS = "configurations.npz"
 
 
 class StudyDirectory:
-    """One study's folder: `study.json`, the files of its tasks, `slices/`, and the tables.
+    """One study's folder: `study.json`, the files of its tasks, `batches/`, and the tables.
 
     The tables are `results.csv` (a row an evaluation) and `metrics.csv` (a row an iteration). Trials and
-    failures of each configuration so far, at every evaluation, are arrays in the slices.
+    failures of each configuration so far, at every evaluation, are arrays in the batches.
     """
 
     TABLES = ("results", "metrics")
@@ -42,8 +42,8 @@ class StudyDirectory:
     def __init__(self, folder: Path) -> None:
         """Names the folder; nothing is read or written yet."""
         self.folder = folder
-        self._slices = folder / "slices"
-        self._begun = folder / ".study.json.new"
+        self._batches = folder / "batches"
+        self._started = folder / ".study.json.new"
         self._facts: dict[str, Any] = {}
 
     def settings(self) -> StudySettings:
@@ -71,7 +71,7 @@ class StudyDirectory:
         """Begins a study, or makes sure that the folder holds this very one; locks it while entered.
 
         Raises:
-            InputError: the folder holds something else (another study, or this one begun with other
+            InputError: the folder holds something else (another study, or this one started with other
                 settings, another map or other versions), another process writes into it, or it
                 cannot be written.
         """
@@ -86,7 +86,7 @@ class StudyDirectory:
         with files.writing(self.folder, "choose another --out"):
             self.folder.mkdir(parents=True, exist_ok=True)
         with files.alone(self.folder):
-            self._check_free()  # another study may have begun here meanwhile
+            self._check_free()  # another study may have started here meanwhile
             if (self.folder / "study.json").is_file():
                 self._compare(json.loads(files.json_text(content)), texts)
             else:
@@ -94,18 +94,18 @@ class StudyDirectory:
             yield
 
     def _check_free(self) -> None:
-        if not (self.folder / "study.json").is_file() and not self._begun.exists():
+        if not (self.folder / "study.json").is_file() and not self._started.exists():
             files.check_free(self.folder)
 
     def _create(self, content: dict[str, Any], texts: dict[str, str]) -> None:
         with files.writing(self.folder, "choose another --out"):
             # Begins as another file: a study that is killed meanwhile knows its folder again.
-            self._begun.write_text(files.json_text(content))
-            self._slices.mkdir(exist_ok=True)
+            self._started.write_text(files.json_text(content))
+            self._batches.mkdir(exist_ok=True)
             for name, text in texts.items():
                 (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
                 (self.folder / name).write_text(text)
-            os.replace(self._begun, self.folder / "study.json")
+            os.replace(self._started, self.folder / "study.json")
 
     def _compare(self, content: dict[str, Any], texts: dict[str, str]) -> None:
         settings = settings_tree.to_json(self.settings())  # as they are written today
@@ -125,38 +125,38 @@ class StudyDirectory:
             )
 
     def verify(self, number: int) -> Iterator[str]:
-        """Removes slices that are not what was written; yields lines that say what was found.
+        """Removes batches that are not what was written; yields lines that say what was found.
 
         Args:
-            number: of slices that the study is made of.
+            number: of batches that the study is made of.
         """
-        self._slices.mkdir(exist_ok=True)
-        for left_over in self._slices.glob(".[0-9]*"):  # written when the study was stopped
+        self._batches.mkdir(exist_ok=True)
+        for left_over in self._batches.glob(".[0-9]*"):  # written when the study was stopped
             shutil.rmtree(left_over)
         for path in self._held(number):
             if not _is_whole(path):
                 shutil.rmtree(path)
                 yield f"{path}: not as it was written; made again"
         there = len(self._held(number))
-        yield f"{self.folder}: {there} of {number} slices are there"
-        begun = json.loads((self.folder / "study.json").read_text()).get("git_commit")
+        yield f"{self.folder}: {there} of {number} batches are there"
+        started = json.loads((self.folder / "study.json").read_text()).get("git_commit")
         now = self._facts["git_commit"]
-        if there and begun and now and begun != now:
+        if there and started and now and started != now:
             yield (
-                f"{self.folder}: begun at commit {short_commit(str(begun))} and resumed at "
+                f"{self.folder}: started at commit {short_commit(str(started))} and resumed at "
                 f"{short_commit(now)}; what is there stays"
             )
 
     def holds(self, number: int) -> bool:
-        """Whether that slice is finished."""
-        return self._slice_path(number).is_dir()
+        """Whether that batch is finished."""
+        return self._batch_path(number).is_dir()
 
-    def _slice_path(self, number: int) -> Path:
-        return self._slices / f"{number:04}"
+    def _batch_path(self, number: int) -> Path:
+        return self._batches / f"{number:04}"
 
-    def write_slice(self, number: int, collected: Collected) -> None:
-        """Writes a finished slice, whole or not at all, and what it was made by."""
-        new = self._slices / f".{number:04}"
+    def write_batch(self, number: int, collected: Collected) -> None:
+        """Writes a finished batch, whole or not at all, and what it was made by."""
+        new = self._batches / f".{number:04}"
         new.mkdir()
         tables = {"results": collected.table("evaluation"), "metrics": collected.table("metrics")}
         content = {f"{name}.csv": files.csv_text(rows).encode() for name, rows in tables.items()}
@@ -171,13 +171,13 @@ class StudyDirectory:
             (new / name).write_bytes(bytes_)
         sums = [f"{hashlib.sha256(bytes_).hexdigest()}  {name}\n" for name, bytes_ in content.items()]
         (new / _SUMS).write_text("".join(sums))
-        os.replace(new, self._slice_path(number))
+        os.replace(new, self._batch_path(number))
 
     def diverged(self, number: int) -> list[str]:
-        """The runs of so many slices that diverged, in words, and how to try them again."""
+        """The runs of so many batches that diverged, in words, and how to try them again."""
         return [
             f"{line} (remove {path.parent} to try again)"
-            for path in (slice_ / _DIVERGED for slice_ in self._held(number))
+            for path in (batch / _DIVERGED for batch in self._held(number))
             if path.is_file()
             for line in path.read_text().splitlines()
         ]
@@ -187,10 +187,10 @@ class StudyDirectory:
         return bool((self.folder / "results.csv").read_text().strip())
 
     def _held(self, number: int) -> list[Path]:
-        return [self._slice_path(n) for n in range(number) if self.holds(n)]
+        return [self._batch_path(n) for n in range(number) if self.holds(n)]
 
     def merge_tables(self, number: int) -> None:
-        """Writes the tables anew from those of so many slices that are there, in their order."""
+        """Writes the tables anew from those of so many batches that are there, in their order."""
         for name in self.TABLES:
             texts = [(path / f"{name}.csv").read_text().partition("\n") for path in self._held(number)]
             header = max((head for head, _, _ in texts), key=len, default="")
@@ -198,7 +198,7 @@ class StudyDirectory:
             files.replace_file(self.folder / f"{name}.csv", f"{header}\n{rows}")
 
     def configurations(self, number: int) -> Iterator[tuple[Path, dict[str, np.ndarray]]]:
-        """Of each of so many slices that is there, its folder and what `Collected.configurations` gave."""
+        """Of each of so many batches that is there, its folder and what `Collected.configurations` gave."""
         for path in self._held(number):
             yield path, read_plain_arrays(path / _CONFIGURATIONS)
 
@@ -210,7 +210,7 @@ def _by_path(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether a slice's files are those that its checksums were taken of."""
+    """Whether a batch's files are those that its checksums were taken of."""
     try:
         lines = (path / _SUMS).read_text().splitlines()
         sums = {name: digest for digest, name in (line.split("  ") for line in lines)}

@@ -1,4 +1,4 @@
-"""Grids: which runs a study is made of, and how they are cut into slices."""
+"""Grids: which runs a study is made of, and how they are cut into batches."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ class StudySettings:
             name, or a leaf of the sampler, the agent or the task. A sampler's own settings are tried
             with the samplers that have them.
         seeds: each is tried with all of them.
-        at_once: runs in one program, shared by the devices.
+        parallel_runs: runs in one program, shared by the devices.
     """
 
     name: str
     run: RunSettings
     grid: tuple[tuple[str, tuple[Any, ...]], ...] = (("sampler", ("pec", "uniform")),)
     seeds: tuple[int, ...] = tuple(range(5))
-    at_once: int = 2
+    parallel_runs: int = 2
 
     def check(self) -> None:
         """Makes sure that every run of the grid can be run.
@@ -71,8 +71,8 @@ class StudySettings:
         stems = [Path(name).stem for name in self.values_of("task.table")]
         if len(set(stems)) < len(stems):
             raise InputError(f"coordinates: {', '.join(self.values_of('task.table'))} need names that differ")
-        if self.at_once < 1:
-            raise InputError(f"at-once is {self.at_once}; it must be at least 1")
+        if self.parallel_runs < 1:
+            raise InputError(f"parallel-runs is {self.parallel_runs}; it must be at least 1")
         if self.run.stop.until_goal_ratio is not None:
             raise InputError("until-goal-ratio would end each run at another time; leave it out of a study")
         self._check_paths()
@@ -139,10 +139,11 @@ class StudySettings:
             found[tuple(has.items())] = None
         yield from found
 
-    def slices(self) -> list[tuple[RunSpec, ...]]:
+    def batches(self) -> list[tuple[RunSpec, ...]]:
         """The runs in the order they are made: low seeds first, the groups in turn."""
+        size = self.parallel_runs
         cut = [
-            [tuple(group[first : first + self.at_once]) for first in range(0, len(group), self.at_once)]
+            [tuple(group[first : first + size]) for first in range(0, len(group), size)]
             for group in self.groups()
         ]
         return [part for turn in zip_longest(*cut) for part in turn if part is not None]

@@ -27,14 +27,14 @@ RATIOS = ("goal_ratio", "cvar", "area_under_curve", "cvar_area_under_curve")
 # Of what the sampler drew in training: beside the paper's figures, not to compare samplers by.
 TRAINING = ("training_goal_ratio", "failure_ratio", "least_trial_ratio", "greatest_trial_ratio")
 LAST_ITERATIONS = 100  # that the paper takes the mean training goal ratio of
-STEPS = tuple(f"{what}_{at:g}" for at in THRESHOLDS for what in ("steps_until", "exit_at"))
+STEPS = tuple(f"{what}_{at:g}" for at in THRESHOLDS for what in ("steps_to", "exit_at"))
 
 
 def by_run(tables: StudyTables) -> pd.DataFrame:
     """One row a run: how it ended, and how soon it came to the thresholds.
 
     Columns: `goal_ratio` and `cvar` of the last evaluation, the `area_under_curve` of both,
-    `steps_until_0.9` (environment steps at the first of five evaluations in a row that hold it) and
+    `steps_to_0.9` (environment steps at the first of five evaluations in a row that hold it) and
     `exit_at_0.9` (at the fifth iteration in a row whose training goal ratio holds it: the paper's
     exit condition); inf where it was not reached. Of training: `training_goal_ratio`, the mean of the
     last 100 iterations; `failure_ratio`, the mean over the configurations, `least_trial_ratio` and
@@ -56,7 +56,7 @@ def by_run(tables: StudyTables) -> pd.DataFrame:
             "cvar_area_under_curve": area_under_curve(steps, run.cvar.to_numpy()),
         }
         for at in THRESHOLDS:
-            row[f"steps_until_{at:g}"] = steps_to_threshold(steps, ratios, at)
+            row[f"steps_to_{at:g}"] = steps_to_threshold(steps, ratios, at)
             row[f"exit_at_{at:g}"] = steps_to_exit(
                 training.env_steps.to_numpy(), training.goal_ratio.to_numpy(), at
             )
@@ -153,14 +153,14 @@ def write_report(folder: Path) -> str:
         f"set {Path(row['coordinates']).stem}, {row['condition']}, {row['seeds']} seeds: goal ratio "
         f"{row['goal_ratio']:.3f} [{row['goal_ratio_low']:.3f}, {row['goal_ratio_high']:.3f}], worst tenth "
         f"{row['cvar']:.3f} [{row['cvar_low']:.3f}, {row['cvar_high']:.3f}]; 0.9 held from "
-        f"{_millions(row['steps_until_0.9_median'])}, 0.95 from {_millions(row['steps_until_0.95_median'])}"
+        f"{_millions(row['steps_to_0.9_median'])}, 0.95 from {_millions(row['steps_to_0.95_median'])}"
         for row in summaries
     ]
     by_measure = {(row["coordinates"], row["condition"], row["measure"]): row for row in differences}
     for coordinates, condition in dict.fromkeys(key[:2] for key in by_measure):
         ratio, steps = (
             by_measure[coordinates, condition, name]
-            for name in ("goal_ratio", f"steps_until_{THRESHOLDS[-1]:g}")
+            for name in ("goal_ratio", f"steps_to_{THRESHOLDS[-1]:g}")
         )
         interval_of_ratio = f"[{ratio['difference_low']:+.3f}, {ratio['difference_high']:+.3f}]"
         lines.append(

@@ -1,4 +1,4 @@
-"""A study: every run of a grid, slice by slice."""
+"""A study: every run of a grid, batch by batch."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Worlds = dict[TaskSettings, tuple[Task, World]]
 def run_study(settings: StudySettings, folder: Path, notice: str | None = None) -> None:
     """Makes every run of a study that its folder does not hold yet.
 
-    A slice is written when it is whole, and so a study that is stopped resumes with the slice it
+    A batch is written when it is whole, and so a study that is stopped resumes with the batch it
     was at; its tables end as if it had never stopped. A run that diverges is left out of the tables
     and not repeated; all others are made.
 
@@ -37,11 +37,11 @@ def run_study(settings: StudySettings, folder: Path, notice: str | None = None) 
         DivergedError: some runs diverged; all that can be made is there.
     """
     settings.check()
-    slices = settings.slices()
-    tasks = dict.fromkeys(settings.settings_of(spec).task for specs in slices for spec in specs)
+    batches = settings.batches()
+    tasks = dict.fromkeys(settings.settings_of(spec).task for specs in batches for spec in specs)
     worlds = {task: task.make() for task in tasks}
     directory = StudyDirectory(folder)
-    runs = sum(map(len, slices))
+    runs = sum(map(len, batches))
     with (
         directory.open(settings, [*worlds], len(jax.devices())),
         writing(folder, "the same command resumes once it can"),
@@ -52,10 +52,10 @@ def run_study(settings: StudySettings, folder: Path, notice: str | None = None) 
             progress.say(notice)
         for line in dict.fromkeys(line for task, world in worlds.items() for line in task.notices(*world)):
             progress.say(f"notice: {line}")
-        for line in directory.verify(len(slices)):
+        for line in directory.verify(len(batches)):
             progress.say(line)
-        _make_slices(settings, worlds, directory, progress, interruption)
-    diverged = directory.diverged(len(slices))
+        _make_batches(settings, worlds, directory, progress, interruption)
+    diverged = directory.diverged(len(batches))
     if diverged:
         raise DivergedError(
             f"{folder}: {len(diverged)} of {runs} runs diverged and are not in its tables; "
@@ -63,16 +63,16 @@ def run_study(settings: StudySettings, folder: Path, notice: str | None = None) 
         )
 
 
-def _make_slices(
+def _make_batches(
     settings: StudySettings,
     worlds: Worlds,
     directory: StudyDirectory,
     progress: Progress,
     interruption: Interruption,
 ) -> None:
-    slices = settings.slices()
+    batches = settings.batches()
     programs: dict[tuple, StudyProgram] = {}
-    for number, specs in enumerate(slices):
+    for number, specs in enumerate(batches):
         if directory.holds(number):
             progress.skip(len(specs) * settings.run.stop.iterations)
             continue
@@ -82,9 +82,9 @@ def _make_slices(
         if key not in programs:
             programs[key] = several_runs(run, *worlds[run.task], len(specs))
         collected = _train(settings, specs, programs[key], progress, interruption)
-        directory.write_slice(number, collected)
-        directory.merge_tables(len(slices))
-    directory.merge_tables(len(slices))
+        directory.write_batch(number, collected)
+        directory.merge_tables(len(batches))
+    directory.merge_tables(len(batches))
 
 
 def _train(
@@ -94,7 +94,7 @@ def _train(
     progress: Progress,
     interruption: Interruption,
 ) -> Collected:
-    """Trains the runs of one slice to their end; what they leave, without those that diverged."""
+    """Trains the runs of one batch to their end; what they leave, without those that diverged."""
     run = settings.settings_of(specs[0])
     # A study looks at its configurations when it evaluates, and the devices never wait for the host.
     run = dataclasses.replace(run, configurations_every=run.evaluation.every)
@@ -106,12 +106,12 @@ def _train(
         progress.say(f"{collected.diverge(which, iteration, names)}; the other runs continue")
 
     hooks = Hooks(diverged, asked=lambda: bool(interruption.asked), lookahead=run.evaluation.every)
-    state = program.begin([spec.seed for spec in specs], varied)
+    state = program.init([spec.seed for spec in specs], varied)
     with Sinks([collected, progress], collected.names, 0) as sinks:
         ending = run_loop(program.program, Position(state), run, sinks, hooks)
     if not ending.finished:
         if len(collected.diverged) < len(specs):
-            _stop_if_asked(interruption)  # a slice that is whole is kept first
+            _stop_if_asked(interruption)  # a batch that is whole is kept first
         progress.skip(len(specs) * (run.stop.iterations - ending.position.iteration))
     return collected
 

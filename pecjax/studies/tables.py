@@ -41,7 +41,7 @@ def read_study(folder: Path) -> StudyTables:
     in_full = {float(f"{alpha:.7g}"): alpha for alpha in alphas}  # older versions wrote 7 digits
     in_full |= {alpha: alpha for alpha in alphas}
     found = {name: read_table(folder / f"{name}.csv", _COLUMNS[name]) for name in ("results", "metrics")}
-    found["configurations"] = _configurations(directory, len(settings.slices()), found["results"])
+    found["configurations"] = _configurations(directory, len(settings.batches()), found["results"])
     for name, table in found.items():
         table["alpha"] = [in_full.get(alpha, alpha) for alpha in table.alpha]
         varied = ["alpha", *varied_columns(table)]
@@ -76,31 +76,31 @@ def _check_runs(folder: Path, found: dict[str, pd.DataFrame]) -> None:
             )
 
 
-def _configurations(directory: StudyDirectory, slices: int, results: pd.DataFrame) -> pd.DataFrame:
+def _configurations(directory: StudyDirectory, batches: int, results: pd.DataFrame) -> pd.DataFrame:
     """A row of trials, failures and goal ratio for every run, evaluation and configuration."""
     of_version_0_1 = directory.folder / "configurations.csv"
     if of_version_0_1.is_file():
         return _with_ratios(read_table(of_version_0_1, _COLUMNS["configurations"]), results)
     parts = []
-    for path, arrays in directory.configurations(slices):
+    for path, arrays in directory.configurations(batches):
         try:
-            parts.extend(_of_slice(path, arrays))
+            parts.extend(_of_batch(path, arrays))
         except InputError:
             raise
         except (KeyError, ValueError, TypeError) as error:
-            what = f"not the arrays of a slice ({error!r}); remove it and resume the study"
+            what = f"not the arrays of a batch ({error!r}); remove it and resume the study"
             raise InputError(f"{path}: {what}") from error
     if not parts:
-        raise InputError(f"{directory.folder / 'slices'}: none is there; resume the study")
+        raise InputError(f"{directory.folder / 'batches'}: none is there; resume the study")
     return pd.concat(parts, ignore_index=True)
 
 
-def _of_slice(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[pd.DataFrame]:
-    """The same of each run of one slice."""
+def _of_batch(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[pd.DataFrame]:
+    """The same of each run of one batch."""
     if not arrays["trials"].size:  # every run of it diverged
         return
-    of_slice = read_table(path / "results.csv", _COLUMNS["results"])
-    heads = of_slice.loc[:, :"iteration"].drop(columns="iteration").drop_duplicates(ignore_index=True)
+    of_batch = read_table(path / "results.csv", _COLUMNS["results"])
+    heads = of_batch.loc[:, :"iteration"].drop(columns="iteration").drop_duplicates(ignore_index=True)
     for (_, head), trials, failures, ratios in zip(
         heads.iterrows(), arrays["trials"], arrays["failures"], arrays["goal_ratio"], strict=True
     ):

@@ -21,7 +21,7 @@ class ResumeState(NamedTuple):
     Attributes:
         state: of environments, sampler and learner.
         iteration: how many iterations are done.
-        patience_count: iterations in a row that have held the goal ratio to stop at.
+        patience_count: iterations in a row at or above the goal ratio to stop at.
         seconds: spent so far, compilation apart.
     """
 

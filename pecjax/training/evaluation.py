@@ -1,4 +1,4 @@
-"""Evaluation: a policy flown over a fixed, even draw of the configurations."""
+"""Evaluation: a policy run over a fixed, even draw of the configurations."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from pecjax.agents import AXIS, Agent
-from pecjax.agents.episodes import begin, go_on, reset_where
+from pecjax.agents.episodes import reset_where, start_episodes, step_episodes
 from pecjax.agents.sharding import env_keys
 from pecjax.envs.task import Task, World, num_configs, take_configs
 
 
 class EvalResult(NamedTuple):
-    """E flown episodes.
+    """E finished episodes.
 
     Attributes:
         config_id: (E,) int.
@@ -37,7 +37,7 @@ class EvalResult(NamedTuple):
     paths: Any
 
     def goal_ratios(self) -> np.ndarray:
-        """Share of successes (N,) of each configuration up to the last that was flown."""
+        """Share of successes (N,) of each configuration up to the last that was run."""
         return success_by_config(self.config_id, self.success, int(self.config_id.max()) + 1)
 
 
@@ -50,24 +50,24 @@ def stratified_config_ids(num_configs: int, episodes: int, seed: int) -> np.ndar
     return np.concatenate([np.tile(np.arange(num_configs), episodes // num_configs), rest]).astype(np.int32)
 
 
-def make_flyer(
+def make_episode_runner(
     task: Task, agent: Agent, *, greedy: bool, seed: int
 ) -> Callable[[Any, World, jax.Array, jax.Array], EvalResult]:
     """Sets the conditions under which policies can be compared.
 
-    Its `fly` takes a learner, a world and, for each of E episodes, configuration and number, and returns
+    The runner takes a learner, a world and, for each of E episodes, configuration and number, and returns
     `EvalResult`; it can be jitted, vmapped over learners and sharded over episodes.
 
     Args:
         greedy: takes the most likely action at every step; else draws, as training does.
-        seed: of resets and drawn actions: two policies with one seed fly the same episodes.
+        seed: of resets and drawn actions: two policies with one seed meet the same episodes.
     """
 
-    def fly(learner: Any, world: World, config_id: jax.Array, episode: jax.Array) -> EvalResult:
+    def run(learner: Any, world: World, config_id: jax.Array, episode: jax.Array) -> EvalResult:
         keys = env_keys(jax.random.key(seed), episode)
         return run_episodes(task, world, agent.policy(learner, greedy), keys, config_id)
 
-    return fly
+    return run
 
 
 def make_evaluator(
@@ -82,16 +82,17 @@ def make_evaluator(
     """Sets E episodes, an even draw, shared by the mesh's devices.
 
     Its `compile` takes a learner (arrays or their shapes) and a world, and returns
-    fly(learner, world) -> `EvalResult` of numpy arrays; another world of the same shapes compiles nothing.
+    evaluate(learner, world) -> `EvalResult` of numpy arrays; another world of the same shapes compiles
+    nothing.
 
     Args:
-        greedy, seed: of `make_flyer`.
+        greedy, seed: of `make_episode_runner`.
     """
     devices = mesh.devices.size
     spread = PartitionSpec(AXIS)
     program = jax.jit(
         jax.shard_map(
-            make_flyer(task, agent, greedy=greedy, seed=seed),
+            make_episode_runner(task, agent, greedy=greedy, seed=seed),
             mesh=mesh,
             in_specs=(PartitionSpec(), PartitionSpec(), spread, spread),
             out_specs=spread,
@@ -107,8 +108,8 @@ def make_evaluator(
         compiled = program.lower(learner, world, padded, numbers).compile()
 
         def evaluate(learner: Any, world: World) -> EvalResult:
-            flights = compiled(learner, world, padded, numbers)
-            return jax.tree.map(lambda leaf: np.asarray(leaf)[:episodes], flights)
+            result = compiled(learner, world, padded, numbers)
+            return jax.tree.map(lambda leaf: np.asarray(leaf)[:episodes], result)
 
         return evaluate
 
@@ -122,7 +123,7 @@ def run_episodes(
     keys: jax.Array,
     config_id: jax.Array,
 ) -> EvalResult:
-    """Flies one episode per key (E,) and configuration (E,), all side by side, until the last has ended."""
+    """Runs one episode per key (E,) and configuration (E,), all side by side, until the last has ended."""
     limit, number = task.max_steps, config_id.shape[0]
     shared = (0, 0, None)
     reset, observe = jax.vmap(task.reset, shared), jax.vmap(task.observe, shared)
@@ -131,7 +132,7 @@ def run_episodes(
     obs = observe(first, start, world.params)
     position = jax.vmap(task.position)(start)
     paths = None if position is None else jnp.zeros((limit + 1, number, 2)).at[0].set(position)
-    running = begin(config_id, task.metrics)
+    running = start_episodes(config_id, task.metrics)
     nothing = {name: jnp.zeros(number) for name in task.metrics}
     none = jnp.zeros(number, bool)
 
@@ -146,7 +147,7 @@ def run_episodes(
         of_task = jax.vmap(lambda key: jax.random.split(key, 2), out_axes=1)(now)
         actions = jax.vmap(act)(obs, now)
         after = jax.vmap(task.step, (0, 0, 0, None))(of_task[1], state, actions, world.params)
-        further, episodes = go_on(running, after, task.metrics)
+        further, episodes = step_episodes(running, after, task.metrics)
         # Of an episode that has ended nothing is observed: XLA then leaves out its images.
         state, obs, running, success, metrics = reset_where(
             done,
@@ -173,7 +174,7 @@ def run_episodes(
 
 
 def success_by_config(config_id: np.ndarray, success: np.ndarray, num_configs: int) -> np.ndarray:
-    """Share of successes (N,) of each configuration, NaN where none of its episodes (E,) were flown."""
-    flown = np.bincount(config_id, minlength=num_configs)
+    """Share of successes (N,) of each configuration, NaN where it had no episode (E,)."""
+    episodes = np.bincount(config_id, minlength=num_configs)
     reached = np.bincount(config_id, weights=success, minlength=num_configs)
-    return np.where(flown > 0, reached / np.maximum(flown, 1), np.nan)
+    return np.where(episodes > 0, reached / np.maximum(episodes, 1), np.nan)

@@ -91,5 +91,6 @@ def study_settings(content: Any) -> Any:
         ["sampler.alpha", content.get("alphas", [PEC().alpha])],
         *([_AGENT_PATH.sub("agent.", path), values] for path, values in content.get("grid", [])),
     ]
-    rest = {name: content[name] for name in ("name", "seeds", "at_once") if name in content}
+    now = {"name": "name", "seeds": "seeds", "at_once": "parallel_runs"}
+    rest = {now[name]: value for name, value in content.items() if name in now}
     return rest | {"grid": grid, "run": run_settings(content.get("run"))}

@@ -1,4 +1,4 @@
-"""Loading: a run's folder opened again, to fly its policy."""
+"""Loading: a run's folder opened again, to run its policy."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ class Trained(NamedTuple):
         return self.run.agent.policy(self.learner, greedy)
 
     def evaluator(self) -> Callable[..., EvalResult]:
-        """fly(world=None) -> flights, as the run's settings evaluate it.
+        """evaluate(world=None) -> EvalResult, as the run's settings evaluate it.
 
         It is compiled once; another world of the same shapes, such as maps that were never seen, compiles
         nothing.
         """
         compiled = compile_evaluator(self.run, self.settings, self.learner)
 
-        def fly(world: World | None = None) -> EvalResult:
+        def evaluate(world: World | None = None) -> EvalResult:
             there = self.run.world if world is None else everywhere(world, self.run.mesh)
             return compiled(self.learner, there)
 
-        return fly
+        return evaluate
 
 
 def open_run(folder: str | Path, checkpoint: int | None = None) -> Trained:

@@ -24,20 +24,20 @@ class Clock:
 
     def __init__(self) -> None:
         """Begins to count."""
-        self._begun = time.perf_counter()
+        self._started = time.perf_counter()
         self.compile_seconds = 0.0
         self.spent_before = 0.0
 
     def seconds(self) -> float:
         """So far."""
-        return self.spent_before + time.perf_counter() - self._begun - self.compile_seconds
+        return self.spent_before + time.perf_counter() - self._started - self.compile_seconds
 
     @contextlib.contextmanager
     def compiling(self) -> Iterator[None]:
         """What happens within is compilation."""
-        begun = time.perf_counter()
+        started = time.perf_counter()
         yield
-        self.compile_seconds += time.perf_counter() - begun
+        self.compile_seconds += time.perf_counter() - started
 
 
 class Position(NamedTuple):
@@ -46,7 +46,7 @@ class Position(NamedTuple):
     Attributes:
         state: of all runs.
         iteration: how many are done.
-        patience_count: iterations in a row that have held the goal ratio to stop at.
+        patience_count: iterations in a row at or above the goal ratio to stop at.
     """
 
     state: TrainState
@@ -109,8 +109,8 @@ def run_loop(program: Program, start: Position, settings: RunSettings, sink: Sin
 
     Only a single run can stop at a goal ratio.
     """
-    state, iteration, held = start
-    going_on = set(range(program.num_runs))
+    state, iteration, patience_count = start
+    active = set(range(program.num_runs))
     last_metrics: list[Row] = []
 
     while True:
@@ -121,32 +121,32 @@ def run_loop(program: Program, start: Position, settings: RunSettings, sink: Sin
             enqueued.append(metrics)
         for metrics in jax.device_get(enqueued):
             iteration += 1
-            for run in sorted(going_on):
+            for run in sorted(active):
                 if names := _of_run(metrics, run).non_finite:
-                    going_on.remove(run)
+                    active.remove(run)
                     hooks.diverged(run, iteration, names)
             steps = iteration * program.steps_per_iteration
             last_metrics = [metrics_row(iteration, steps, one) for one in _by_run(program, metrics)]
             sink.rows("metrics", last_metrics)
-        held = held + 1 if streak([last_metrics[0]["goal_ratio"]], settings.stop) else 0
-        last = iteration == settings.stop.iterations or held == settings.stop.patience
+        patience_count = patience_count + 1 if streak([last_metrics[0]["goal_ratio"]], settings.stop) else 0
+        last = iteration == settings.stop.iterations or patience_count == settings.stop.patience
         if last or is_counted(settings, iteration):
             found = zip(program.counts(state), program.probabilities(state), strict=True)
             arrays = [configuration_arrays(*of_run) for of_run in found]
             sink.arrays("configurations", iteration, arrays)
         evaluation: list[Row] = []
         if last or is_evaluated(settings, iteration):
-            flights = _by_run(program, program.evaluate(state))
+            results = _by_run(program, program.evaluate(state))
             steps = iteration * program.steps_per_iteration
-            evaluation = [evaluation_row(iteration, steps, one, program.num_configs) for one in flights]
-            episodes = [episode_arrays(one, with_paths=last) for one in flights]
+            evaluation = [evaluation_row(iteration, steps, one, program.num_configs) for one in results]
+            episodes = [episode_arrays(one, with_paths=last) for one in results]
             sink.rows("evaluation", evaluation)
             sink.arrays("episodes", iteration, episodes)
         asked = hooks.asked()
-        standing = Ending(Position(state, iteration, held), last, last_metrics, evaluation)
+        standing = Ending(Position(state, iteration, patience_count), last, last_metrics, evaluation)
         if evaluation or asked:
             hooks.saved(standing)
-        if last or asked or not going_on:
+        if last or asked or not active:
             return standing
 
 

@@ -16,21 +16,21 @@ from pecjax.agents import AXIS, Metrics, TrainState, device_mesh
 from pecjax.envs.task import Task, World, num_configs
 from pecjax.runtime.devices import check_memory, choose_num_devices
 from pecjax.training.build import Run, abstract_state, everywhere, observation_bytes
-from pecjax.training.evaluation import EvalResult, make_evaluator, make_flyer, stratified_config_ids
+from pecjax.training.evaluation import EvalResult, make_episode_runner, make_evaluator, stratified_config_ids
 from pecjax.training.settings import RunSettings
 
 Iterate = Callable[[TrainState], tuple[TrainState, Metrics]]
 
 
 class Program(NamedTuple):
-    """K runs; metrics, flights and probabilities have a leading axis K.
+    """K runs; metrics, results and probabilities have a leading axis K.
 
     Attributes:
         num_runs: K.
         num_configs: N.
         steps_per_iteration: environment steps of each run.
         iterate: (state) -> (state, metrics); it takes the place of the state it is given.
-        evaluate: (state) -> flights; compiled when it is first called.
+        evaluate: (state) -> EvalResult; compiled when it is first called.
         counts: (state) -> (K, 2, N), trials and failures since the beginning.
         probabilities: (state) -> (K, N), what the samplers draw by.
     """
@@ -102,7 +102,7 @@ def compile_iteration(run: Run) -> Iterate:
 
 
 def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable[[Any, World], EvalResult]:
-    """The run's evaluation as a compiled program, (learner, world) -> flights.
+    """The run's evaluation as a compiled program, (learner, world) -> EvalResult.
 
     Raises:
         InputError: more episodes than memory holds the observations or the paths of.
@@ -117,14 +117,14 @@ def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable
 
 
 class StudyProgram(NamedTuple):
-    """A program of K runs before it begins.
+    """A program of K runs before it starts.
 
     Attributes:
-        begin: (seeds, numbers of the sampler by name) -> their first state.
+        init: (seeds, numbers of the sampler by name) -> their first state.
         program: the rest.
     """
 
-    begin: Callable[[Sequence[int], Mapping[str, Sequence[float]]], TrainState]
+    init: Callable[[Sequence[int], Mapping[str, Sequence[float]]], TrainState]
     program: Program
 
 
@@ -143,7 +143,7 @@ def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> 
     agent = settings.agent.make(task, sampler)
     check_memory(agent.replay_bytes * runs, devices)
     world, about = everywhere(world, mesh), settings.evaluation
-    fly = make_flyer(task, agent, greedy=about.greedy, seed=about.seed)
+    run = make_episode_runner(task, agent, greedy=about.greedy, seed=about.seed)
     config_id = stratified_config_ids(num_configs(world.table), about.episodes, about.seed)
 
     def init(world: World, seed: jax.Array, numbers: dict[str, jax.Array]) -> TrainState:
@@ -153,8 +153,8 @@ def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> 
         return agent.iterate(state, world)
 
     def evaluate(world: World, learner: Any) -> EvalResult:
-        flights = fly(learner, world, jnp.asarray(config_id), jnp.arange(config_id.size))
-        return flights._replace(paths=None)
+        result = run(learner, world, jnp.asarray(config_id), jnp.arange(config_id.size))
+        return result._replace(paths=None)
 
     def spread(one: Callable, **options: Any) -> Callable:
         """`one` for each run, the world being the same for all."""

@@ -11,8 +11,8 @@ from pecjax.storage.files import Row
 from pecjax.training.evaluation import EvalResult, success_by_config
 
 WORST = 0.1  # the share of the flown configurations that CVaR averages
-DRAWN_FLIGHTS = 2  # of each configuration, whose paths are kept
-MOST_DRAWN_FLIGHTS = 100
+DRAWN_PATHS = 2  # of each configuration, whose paths are kept
+MOST_DRAWN_PATHS = 100
 PATH_ARRAYS = ("path_episode", "paths")
 
 
@@ -34,16 +34,16 @@ def metrics_row(iteration: int, env_steps: int, metrics: Metrics) -> Row:
     }
 
 
-def evaluation_row(iteration: int, env_steps: int, flights: EvalResult, num_configs: int) -> Row:
+def evaluation_row(iteration: int, env_steps: int, result: EvalResult, num_configs: int) -> Row:
     """One row of evaluation.csv; `cvar` is the CVaR-10 % over the configurations flown."""
     return {
         "iteration": iteration,
         "env_steps": env_steps,
-        "goal_ratio": float(flights.success.mean()),
-        "cvar": float(cvar(success_by_config(flights.config_id, flights.success, num_configs))),
-        "mean_return": float(flights.returns.mean()),
-        "mean_length": float(flights.lengths.mean()),
-    } | {name: float(value.mean()) for name, value in sorted(flights.metrics.items())}
+        "goal_ratio": float(result.success.mean()),
+        "cvar": float(cvar(success_by_config(result.config_id, result.success, num_configs))),
+        "mean_return": float(result.returns.mean()),
+        "mean_length": float(result.lengths.mean()),
+    } | {name: float(value.mean()) for name, value in sorted(result.metrics.items())}
 
 
 def cvar(ratios: np.ndarray) -> np.ndarray:
@@ -72,18 +72,18 @@ def configuration_arrays(counts: np.ndarray, probabilities: np.ndarray) -> dict[
     return {"trials": counts[0], "failures": counts[1], "probability": probabilities}
 
 
-def episode_arrays(flights: EvalResult, with_paths: bool) -> dict[str, Any]:
+def episode_arrays(result: EvalResult, with_paths: bool) -> dict[str, Any]:
     """What is kept of an evaluation's episodes, (E,) each.
 
     Args:
         with_paths: keeps `PATH_ARRAYS` too: which of them have paths (F,), and those (F, L, 2).
     """
-    kept = {"config_id": flights.config_id, "success": flights.success, "return": flights.returns}
-    kept |= {"length": flights.lengths, **flights.metrics}
-    if with_paths and flights.paths is not None:
-        chosen = _some_of_each(flights.config_id)
-        longest = int(flights.lengths[chosen].max()) + 1
-        kept |= dict(zip(PATH_ARRAYS, (chosen, flights.paths[chosen, :longest]), strict=True))
+    kept = {"config_id": result.config_id, "success": result.success, "return": result.returns}
+    kept |= {"length": result.lengths, **result.metrics}
+    if with_paths and result.paths is not None:
+        chosen = _some_of_each(result.config_id)
+        longest = int(result.lengths[chosen].max()) + 1
+        kept |= dict(zip(PATH_ARRAYS, (chosen, result.paths[chosen, :longest]), strict=True))
     return kept
 
 
@@ -92,4 +92,4 @@ def _some_of_each(config_id: np.ndarray) -> np.ndarray:
     order = np.argsort(config_id, kind="stable")
     ids = config_id[order]
     place = np.arange(len(ids)) - np.searchsorted(ids, ids)
-    return order[place < DRAWN_FLIGHTS][:MOST_DRAWN_FLIGHTS]
+    return order[place < DRAWN_PATHS][:MOST_DRAWN_PATHS]

@@ -37,7 +37,7 @@ class RunDirectory:
         """Writes what the run depends on: settings, and the files that its task reads.
 
         Raises:
-            InputError: another run or study has begun in the folder, or it cannot be written.
+            InputError: another run or study has started in the folder, or it cannot be written.
         """
         kept = settings.task.files()
         with files.writing(self.folder, "choose another --out"):

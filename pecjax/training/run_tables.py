@@ -34,7 +34,7 @@ def configuration_table(run: RunDirectory) -> pd.DataFrame:
 
 
 def trajectory_table(run: RunDirectory) -> pd.DataFrame:
-    """Columns episode, config, success, step, x and y: some flights of the last evaluation, step by step.
+    """Columns episode, config, success, step, x and y: some episodes of the last evaluation, step by step.
 
     Raises:
         InputError: the run is not finished.
@@ -45,20 +45,20 @@ def trajectory_table(run: RunDirectory) -> pd.DataFrame:
         return table.rename(columns={"goal": "success"})
     kept = run.iterations("episodes")
     if not kept or "paths" not in run.arrays("episodes", kept[-1]):
-        raise InputError(f"{run.folder / 'episodes'}: no flights of a finished run; train it to its end")
+        raise InputError(f"{run.folder / 'episodes'}: no paths of a finished run; train it to its end")
     parts = []
     with _arrays(run, "episodes", kept[-1]) as last:
         for episode, path in zip(last["path_episode"], last["paths"], strict=True):
             length = int(last["length"][episode]) + 1
             if len(path[:length]) != length:
                 raise ValueError(f"episode {episode} has no {length} positions")
-            flight = {
+            about = {
                 "episode": episode,
                 "config": last["config_id"][episode],
                 "success": last["success"][episode],
             }
             steps = {"step": np.arange(length), "x": path[:length, 0], "y": path[:length, 1]}
-            parts.append(pd.DataFrame(flight | steps))
+            parts.append(pd.DataFrame(about | steps))
         kinds = {"episode": int, "config": int, "success": int, "x": float, "y": float}
         return pd.concat(parts, ignore_index=True).astype(kinds)
 

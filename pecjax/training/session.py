@@ -26,7 +26,7 @@ class Session(NamedTuple):
     clock: Clock
 
 
-def begun(session: Session) -> tuple[Position, Iterate]:
+def started(session: Session) -> tuple[Position, Iterate]:
     """The first state, and the compiled iteration."""
     with session.clock.compiling():
         state, iterate = start(session.run, session.settings.seed)
@@ -58,7 +58,7 @@ def resumed(session: Session) -> tuple[Position, Iterate]:
             f"goal ratio of {stop.until_goal_ratio:g}; give a higher --until-goal-ratio or more --patience"
         )
     _roll_back(session, done)
-    directory.record(settings_as_begun(session), run.mesh.devices.size, from_iteration=done)
+    directory.record(settings_as_started(session), run.mesh.devices.size, from_iteration=done)
     checkpoints.forget_after(done, settings.evaluation.every)
     progress.say(f"resumes after iteration {done}")
     progress.skip(done)
@@ -67,7 +67,7 @@ def resumed(session: Session) -> tuple[Position, Iterate]:
         return Position(there.state, done, patience_count), compile_iteration(run)
 
 
-def settings_as_begun(session: Session) -> RunSettings:
+def settings_as_started(session: Session) -> RunSettings:
     """The session's settings with the names of the task's files as they were given."""
     return dataclasses.replace(session.settings, task=session.directory.settings().task)
 

@@ -41,10 +41,10 @@ class Sinks(Sink):
     def __init__(self, sinks: Sequence[Sink], runs: Sequence[str], iteration: int) -> None:
         """See `Sink.open`."""
         self._sinks = sinks
-        self._begun = runs, iteration
+        self._started = runs, iteration
 
     def __enter__(self) -> Sinks:
-        self.open(*self._begun)
+        self.open(*self._started)
         return self
 
     def __exit__(self, *_: object) -> None:

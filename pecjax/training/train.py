@@ -21,7 +21,7 @@ from pecjax.training.loop import Clock, Ending, Hooks, Position, run_loop
 from pecjax.training.program import Iterate, one_run
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.run_files import RunFiles
-from pecjax.training.session import Session, begun, resumed
+from pecjax.training.session import Session, resumed, started
 from pecjax.training.settings import RunSettings, check_settings
 from pecjax.training.sinks import Progress, Sink, Sinks
 
@@ -114,7 +114,7 @@ def _go(
         _introduce(settings, run, directory, progress, is_resumed)
         session = Session(settings, run, directory, progress, Clock())
         with writing(folder, f"put that right and {_how_to_resume(folder)}"):
-            position, iterate = resumed(session) if is_resumed else begun(session)
+            position, iterate = resumed(session) if is_resumed else started(session)
             progress.say(f"compiled in {session.clock.compile_seconds:.1f} s")
             return _loop(session, position, iterate, sinks, interruption)
 

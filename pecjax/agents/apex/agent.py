@@ -56,12 +56,12 @@ def exploration(settings: Apex, env_ids: jax.Array) -> jax.Array:
     return settings.epsilon ** (1 + settings.epsilon_exponent * actor / max(settings.num_actors - 1, 1))
 
 
-def explore(values: jax.Array, epsilon: jax.Array, chance: jax.Array) -> jax.Array:
+def explore(values: jax.Array, epsilon: jax.Array, uniform: jax.Array) -> jax.Array:
     """ε-greedy actions (…,) for action values (…, A), from one uniform number each."""
     number = values.shape[-1]
-    # Below ε the chance is uniform in [0, ε), and says which action too.
-    anything = jnp.minimum(chance / epsilon * number, number - 1).astype(jnp.int32)
-    return jnp.where(chance < epsilon, anything, jnp.argmax(values, axis=-1).astype(jnp.int32))
+    # Below ε the number is uniform in [0, ε), and says which action too.
+    anything = jnp.minimum(uniform / epsilon * number, number - 1).astype(jnp.int32)
+    return jnp.where(uniform < epsilon, anything, jnp.argmax(values, axis=-1).astype(jnp.int32))
 
 
 def make(task: Task, sampler: Sampler, settings: Apex, axis_name: str | None = None) -> Agent:
@@ -69,7 +69,7 @@ def make(task: Task, sampler: Sampler, settings: Apex, axis_name: str | None = N
 
     Actors and learner take turns: every `rollout_length` steps come `updates` updates, and so an actor
     always acts by the newest parameters, where Horgan et al.'s run side by side. Where a task truncates,
-    the value that is bootstrapped from is that of the moment of the flight.
+    the value that is bootstrapped from is the one estimated when the step was taken.
     """
     settings.check()
     if not isinstance(task.action_space, Discrete):
@@ -105,16 +105,16 @@ def make(task: Task, sampler: Sampler, settings: Apex, axis_name: str | None = N
         key, key_rounds = jax.random.split(state.key)
         env_ids = global_ids(state.envs.envs.running.length.shape[0], axis_name)
 
-        def fly(learner: Learner, actors: Actors, key: jax.Array) -> tuple[Actors, Episodes]:
+        def collect(learner: Learner, actors: Actors, key: jax.Array) -> tuple[Actors, Episodes]:
             def values(packed: Packed) -> tuple[jax.Array, jax.Array]:
                 seen = features(packed)
                 q = action_values(network, learner.params, seen)
                 return q, double_value(q, action_values(network, learner.target, seen))
 
-            def act(obs: Any, chance: jax.Array) -> tuple[jax.Array, tuple]:
+            def act(obs: Any, uniform: jax.Array) -> tuple[jax.Array, tuple]:
                 packed = pack(space, obs)
                 q, ahead = values(packed)
-                action = explore(q, exploration(settings, env_ids), chance)
+                action = explore(q, exploration(settings, env_ids), uniform)
                 taken = jnp.take_along_axis(q, action[..., None], axis=-1)[..., 0]
                 return action, (packed, taken, ahead)
 
@@ -137,8 +137,8 @@ def make(task: Task, sampler: Sampler, settings: Apex, axis_name: str | None = N
 
         def round_(carry: tuple[Learner, Actors], key: jax.Array) -> tuple[tuple[Learner, Actors], tuple]:
             learner, actors = carry
-            key_fly, key_learn = jax.random.split(key)
-            actors, episodes = fly(learner, actors, key_fly)
+            key_collect, key_learn = jax.random.split(key)
+            actors, episodes = collect(learner, actors, key_collect)
             learner = learner._replace(sampled=count_on(learner.sampled, settings.rollout_length * num_envs))
 
             def learn(learner: Learner, shards: Replay) -> tuple[Learner, Replay, dict[str, jax.Array]]:

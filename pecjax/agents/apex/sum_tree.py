@@ -60,12 +60,12 @@ def draw(tree: jax.Array, key: jax.Array, number: int, stratified: bool) -> jax.
         stratified: takes one draw from each of `number` equal parts of the total (their §3.3),
             else all independently.
     """
-    chance = jax.random.uniform(key, (number,))
+    uniform = jax.random.uniform(key, (number,))
     if stratified:
-        chance = (jnp.arange(number) + chance) / number
+        uniform = (jnp.arange(number) + uniform) / number
     depth = _depth(tree)
     nodes, mass = _descend(
-        tree, jnp.ones(number, jnp.int32), chance * total(tree), min(depth, LEVELS_AT_ONCE)
+        tree, jnp.ones(number, jnp.int32), uniform * total(tree), min(depth, LEVELS_AT_ONCE)
     )
     if depth > LEVELS_AT_ONCE:
         mass = jax.random.uniform(jax.random.fold_in(key, 1), (number,)) * tree[nodes]

@@ -80,7 +80,7 @@ class Amounts:
         self._open.append((tag, copies))
 
     def end(self) -> None:
-        """Leaves the element that was begun last."""
+        """Leaves the element that was started last."""
         self._open.pop()
 
     def finish(self, place: str) -> None:
@@ -103,15 +103,15 @@ class Amounts:
 
 
 def _check_attribute(place: str, tag: str, name: str, text: str) -> None:
-    said = f'{place}: <{tag} {name}="{text[:40]}">'
+    what = f'{place}: <{tag} {name}="{text[:40]}">'
     if tag == "size" and name == "memory":
         if not _bytes(text) <= MAX_MEMORY:
-            raise InputError(f"{said} is more than a map needs; leave it out")
+            raise InputError(f"{what} is more than a map needs; leave it out")
     elif name in _COUNTS | _SMALL_COUNTS or tag == "size":
         small = name in _SMALL_COUNTS or name.startswith("nuser_")
         most = MAX_PER_ELEMENT if small else MAX_NUMBER
         if not max(_numbers(text, 0.0)) <= most:
-            raise InputError(f"{said} is too much or no number; {most} is the most")
+            raise InputError(f"{what} is too much or no number; {most} is the most")
 
 
 def _numbers(text: str, least: float) -> list[float]:

@@ -30,15 +30,15 @@ def leave_out_assets(spec: mujoco.MjSpec, place_of: Callable[[str, Any], str]) -
         file = files["mesh"].get(geom.meshname) or files["hfield"].get(geom.hfieldname)
         if not file:
             continue
-        said = f"{place_of('geom', geom)}: geom '{geom.name}'" if geom.name else place_of("geom", geom)
+        what = f"{place_of('geom', geom)}: geom '{geom.name}'" if geom.name else place_of("geom", geom)
         if geom.contype or geom.conaffinity:
             raise InputError(
-                f"{said} collides and needs the file '{file}', which is not read; "
+                f"{what} collides and needs the file '{file}', which is not read; "
                 "build what can be hit of boxes along the axes"
             )
         if _has_mass(spec, geom):
             raise InputError(
-                f"{said} needs the file '{file}', which is not read, and the drone's mass depends on it; "
+                f"{what} needs the file '{file}', which is not read, and the drone's mass depends on it; "
                 'give the geom mass="0" or the drone an <inertial>'
             )
         spec.delete(geom)

@@ -95,10 +95,10 @@ def check_joints(map_file: MapFile, drone: int) -> None:
     model, path = map_file.model, map_file.path
     for name, body, place in map_file.joints:
         if body != "drone":
-            said = f"joint '{name}'" if name else "a joint"
+            what = f"joint '{name}'" if name else "a joint"
             on = f"the body '{body}'" if body else "a body without a name"
             raise InputError(
-                f"{place}: {said} of {on} moves it, and nothing else may move than the drone; take it out"
+                f"{place}: {what} of {on} moves it, and nothing else may move than the drone; take it out"
             )
     joint = int(model.body_jntadr[drone])
     is_free = model.body_jntnum[drone] == 1 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
