@@ -144,7 +144,7 @@ def step(env):
     return jax.jit(env.step)
 
 
-def glide(vehicle, walls, gains, state, command, num_steps):
+def glide(vehicle, walls, gains, state, command, num_steps, conditions):
     """`flight.fly` without physics: the drone takes on the speed and the yaw rate at once."""
     period = num_steps * vehicle.timestep
     looking = heading(state.qpos[3:]) + period * command.yaw_rate

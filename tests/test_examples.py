@@ -37,20 +37,21 @@ def test_a_task_of_ones_own():
 
 def test_an_axis_of_ones_own_is_read_flown_and_kept(tmp_path, capsys):
     example = importlib.import_module("own_axis")
-    ratios = example.main(iterations=2, episodes=1, folder=tmp_path / "fog")
+    ratios = example.main(iterations=2, episodes=1, folder=tmp_path / "narrow")
     assert ratios.shape == (3,) and np.isfinite(ratios).all()
-    assert "visibility" in capsys.readouterr().out
-    kept = (tmp_path / "fog" / "run" / "coordinates.csv").read_text().splitlines()
-    assert kept[0] == "# start_x,start_y,goal_x,goal_y,visibility" and kept[2] == "0,-2,5,-2,2"
-    task, world = example.FoggyRooms(table=str(tmp_path / "fog" / "fog.csv")).make()
+    assert "view" in capsys.readouterr().out
+    kept = (tmp_path / "narrow" / "run" / "coordinates.csv").read_text().splitlines()
+    assert kept[0] == "# start_x,start_y,goal_x,goal_y,view" and kept[2] == "0,-2,5,-2,0.5"
+    task, world = example.NarrowRooms(table=str(tmp_path / "narrow" / "narrow.csv")).make()
     assert check_task(task, world, steps=30) > 0
     key = jax.random.key(3)
     seen = [
         task.observe(key, task.reset(key, take_configs(world.table, row), None), world.params)["depth"]
         for row in range(3)
     ]
-    np.testing.assert_array_equal(seen[1], np.minimum(seen[0], 0.2))  # 2 m of 10
-    np.testing.assert_allclose(seen[2], np.minimum(seen[0], 0.05))
+    kept = np.arange(16) // 4 % 3 != 0  # the middle half of the columns
+    np.testing.assert_array_equal(seen[1], np.where(kept, seen[0], 1.0))
+    assert (seen[0] < 1).any() and (seen[2] == 1).all()
 
 
 def test_many_maps_are_flown_seen_and_unseen(capsys):

@@ -22,7 +22,7 @@ def begin(env, start, goal, looking=0.0):
     """As after `reset_to`, but looking where the test has it."""
     first = env.reset_to(config(start, goal), jax.random.key(0))
     there = env.task.place(first.pipeline_state.config, jnp.float32(looking))
-    return first.replace(pipeline_state=there, obs=env.task.sense(there, env.params))
+    return first.replace(pipeline_state=there, obs=env.task.sense(jax.random.key(0), there, env.params))
 
 
 def fly(step, state, actions):
@@ -224,7 +224,8 @@ def test_distance_and_bearing_of_the_goal(env, start, goal, looking, bearing):
 def test_bearings_stay_within_half_a_turn(env):
     looking = np.linspace(-np.pi, np.pi, 721, dtype=np.float32)
     there = fill(config((0, -2), (-3, -2)))
-    sense = jax.jit(jax.vmap(lambda h: env.task.sense(env.task.place(there, h), env.params)["goal"][1]))
+    key = jax.random.key(0)
+    sense = jax.jit(jax.vmap(lambda h: env.task.sense(key, env.task.place(there, h), env.params)["goal"][1]))
     bearing = np.asarray(sense(looking))
     assert np.all(np.abs(bearing) <= np.float32(np.pi))
     np.testing.assert_allclose(np.exp(1j * bearing), np.exp(1j * (np.pi - looking)), atol=1e-5)

@@ -35,6 +35,8 @@ def another(agent, path, value):
         return not value
     if isinstance(value, str):
         return next((choice for choice in choices if choice != value), "other.csv")
+    if name == "drag":  # always three
+        return (*value[:2], 7.0)
     if isinstance(value, tuple):
         return (*value, "other.xml" if str in choices else 7)
     if value is None:

@@ -24,6 +24,7 @@ class Axis(NamedTuple):
         default: of every number where a file does not say; None where it must.
         unit: of all its columns, for people.
         low, high: the bounds of every number.
+        optional: whether a table may do without the axis, which is None there.
     """
 
     columns: tuple[str, ...]
@@ -32,6 +33,7 @@ class Axis(NamedTuple):
     unit: str
     low: float
     high: float
+    optional: bool
 
 
 def axis(
@@ -42,10 +44,15 @@ def axis(
     unit: str = "",
     low: float = -np.inf,
     high: float = np.inf,
+    optional: bool = False,
 ) -> Any:
     """Declares a field of a table: an array (N,) of one column, (N, k) of k columns.
 
-    A field with a default may be left out; `fill` puts the default there.
+    A field with a default may be left out; `fill` puts the default there. An optional one that is left
+    out stays None: its table is another pytree, and programs for it have nothing of the axis.
+
+    Raises:
+        ValueError: an optional axis without a default, the number that has the least effect.
 
     Example:
         @struct.dataclass
@@ -53,7 +60,9 @@ def axis(
             start: jax.Array = axis("start_x start_y", unit="m")
             wind: jax.Array = axis("wind", default=0.0, unit="m/s", low=-20, high=20)
     """
-    about = Axis(tuple(columns.split()), dtype, default, unit, low, high)
+    if optional and default is None:
+        raise ValueError(f"the optional axis '{columns}' needs a default")
+    about = Axis(tuple(columns.split()), dtype, default, unit, low, high, optional)
     # None is no leaf of a pytree: an axis that was not given is filled in where its length is known.
     return dataclasses.field(metadata={_KEY: about}, default=dataclasses.MISSING if default is None else None)
 
@@ -69,7 +78,7 @@ def columns_of(kind: type) -> dict[str, Axis]:
 
 
 def make_table(kind: type[Table], **values: Any) -> Table:
-    """A table of the class, from arrays for some of its axes and the defaults of the others.
+    """A table of the class, from arrays for some of its axes; the others have their defaults or are None.
 
     Args:
         values: (N,) or (N, k) each.
@@ -96,7 +105,7 @@ def from_columns(
     columns: Mapping[str, Any],
     place: Callable[[int, str], str] = lambda row, column: f"configuration {row}",
 ) -> Table:
-    """A table of the class from its columns, (N,) each; a missing axis takes its default.
+    """A table of the class from its columns, (N,) each; a missing axis has its default or is None.
 
     Args:
         place: what messages call a number, by row and column.
@@ -120,6 +129,8 @@ def from_columns(
         missing = [name for name in about.columns if name not in columns]
         if missing and (about.default is None or len(missing) < len(about.columns)):
             raise InputError(f"no column {missing[0]}; {_describe(known)}")
+        if missing and about.optional:
+            continue
         parts = [np.full(number, about.default) if missing else columns[name] for name in about.columns]
         stacked = np.stack([np.asarray(part) for part in parts], axis=-1).astype(about.dtype)
         leaves[field] = stacked if len(about.columns) > 1 else stacked[:, 0]
@@ -127,7 +138,7 @@ def from_columns(
 
 
 def fill(table: Table) -> Table:
-    """The table, or a row of one, with the defaults of the axes that were left out."""
+    """The table, or a row of one, with the defaults of the axes that were left out and are not optional."""
     axes: dict[str, Axis] = axes_of(type(table))
     given = {name: value for name in axes if (value := getattr(table, name)) is not None}
     first = next(iter(given))
@@ -135,7 +146,7 @@ def fill(table: Table) -> Table:
     missing = {
         name: np.full(leading + (len(about.columns),) * (len(about.columns) > 1), about.default, about.dtype)
         for name, about in axes.items()
-        if name not in given
+        if name not in given and not about.optional
     }
     return type(table)(**given, **missing)
 

@@ -48,12 +48,15 @@ def line_of(path: Path, kind: type, row: int) -> int:
 
 
 def table_text(table: Any) -> str:
-    """A file that reads back as the same table; columns that hold nothing but their default are left out."""
+    """A file that reads back as the same table.
+
+    Columns that hold nothing but their default are left out, unless their axis is optional.
+    """
     known, needed = axes.columns_of(type(table)), axes.required(type(table))
     columns = axes.to_columns(table)
     by_default = {name for name, column in columns.items() if np.all(column == known[name].default)}
     for name in [name for name in columns if name not in needed]:
-        if by_default >= set(known[name].columns):
+        if by_default >= set(known[name].columns) and not known[name].optional:
             del columns[name]
     # Nine digits tell all float32 numbers apart.
     formats = ["%d" if np.issubdtype(c.dtype, np.integer) else "%.9g" for c in columns.values()]

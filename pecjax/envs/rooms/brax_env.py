@@ -8,12 +8,14 @@ import jax
 import jax.numpy as jnp
 
 from pecjax.envs.axes import fill
-from pecjax.envs.rooms.config import COORDINATE_SET_1, Configurations
+from pecjax.envs.rooms.config import COORDINATE_SET_1, Configurations, draws_on_the_way
 from pecjax.envs.rooms.maps import make_bank
 from pecjax.envs.rooms.quiet_mjx import Env, State
 from pecjax.envs.rooms.scene import Scene
 from pecjax.envs.rooms.task import NavigationSettings, RoomsParams, RoomsState, RoomsTask
 from pecjax.envs.task import num_configs, take_configs
+
+_KEY = "key"  # in `info`: of what is drawn on the way
 
 
 class RoomsNavigation(Env):
@@ -22,7 +24,8 @@ class RoomsNavigation(Env):
     The observation is that of `sensing.sense`, in SI units. `pipeline_state` is a `RoomsState`, the part
     that Brax's own automatic reset restores; `metrics` says which ending came about: `goal`,
     `collision`, `timeout`, each 0 or 1, and `unstable` where physics blew up, a collision too. A step
-    keeps whatever else wrappers have put into `metrics` and `info`.
+    keeps whatever else wrappers have put into `metrics` and `info`. With gusts or a camera that errs `info`
+    holds their `key`.
 
     The environment never resets itself: draw a configuration and call `reset_to`. Under
     `brax.envs.training.wrap`, a reset repeats each environment's first configuration.
@@ -47,33 +50,36 @@ class RoomsNavigation(Env):
         return self.reset_to(take_configs(self.configurations, row), rng)
 
     def reset_to(self, config: Configurations, rng: jax.Array) -> State:
-        """Starts an episode in `config`, one row of a table, with a uniform random heading."""
-        state = self.task.reset(rng, jax.tree.map(jnp.asarray, fill(config)), self.params)
+        """Starts an episode in `config`, one row of a table, with a uniform random heading if it has none."""
+        config = jax.tree.map(jnp.asarray, fill(config))
+        state = self.task.reset(rng, config, self.params)
+        key = jax.random.fold_in(rng, 2)  # the task's reset uses the key itself and 1
         zero = jnp.zeros(())
         return State(
             pipeline_state=cast(Any, state),
-            obs=self._observe(state),
+            obs=self.task.sense(key, state, self.params),
             reward=zero,
             done=zero,
             metrics=dict.fromkeys(("goal", *self.task.metrics), zero),
+            info={_KEY: key} if draws_on_the_way(config) else {},
         )
 
     def step(self, state: State, action: jax.Array) -> State:
         """One control period under `action`. What follows an ending is undefined: reset."""
         before = cast(RoomsState, state.pipeline_state)
-        # The task draws nothing.
-        after = self.task.step(jax.random.key(0), before, action, self.params)
+        # Without a key in `info` nothing is drawn: any will do.
+        key, of_step, of_sight = jax.random.split(state.info.get(_KEY, jax.random.key(0)), 3)
+        info = state.info | {_KEY: key} if _KEY in state.info else state.info
+        after = self.task.step(of_step, before, action, self.params)
         endings = {"goal": after.success, **after.metrics}
         return state.replace(
             pipeline_state=after.state,
-            obs=self._observe(after.state),
+            obs=self.task.sense(of_sight, after.state, self.params),
             reward=after.reward,
             done=after.terminated.astype(jnp.float32),
             metrics=state.metrics | {name: came.astype(jnp.float32) for name, came in endings.items()},
+            info=info,
         )
-
-    def _observe(self, state: RoomsState) -> dict[str, jax.Array]:
-        return self.task.sense(state, self.params)
 
     @property
     def dt(self) -> float:

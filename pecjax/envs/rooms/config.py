@@ -14,6 +14,7 @@ from pecjax.errors import InputError
 
 MAX_MAPS = 2**20
 MAX_COORDINATE = 1e6  # m; what lies beyond is a typo
+MAX_LATENCY = 10  # control steps
 
 
 @struct.dataclass
@@ -21,22 +22,51 @@ class Configurations:
     """A table of environment configurations, one per row of every leaf.
 
     A further quantity that varies by episode is a further axis: files of configurations have it at
-    once. What has a default may be left out.
+    once. What has a default may be left out. An optional axis that is left out is None, and the task
+    then has nothing of it: without wind and gust there is no air and so no drag, without a heading one
+    is drawn.
 
     Attributes:
         start: (N, 2) m, where the drone begins.
         goal: (N, 2) m, where it must go.
         map_id: (N,) the map that it flies in, by its place among the task's maps from 0 on.
+        heading: (N,) rad, where the drone looks at first, from the map's x axis to the left.
+        wind: (N, 3) m/s in the world, the mean velocity of the air.
+        gust: (N,) m/s, standard deviation of each component of the gusts, which last for
+            `NavigationSettings.gust_time` and start anew in every episode.
+        payload: (N,) kg, carried at the drone's centre; its inertia grows as its mass does. The
+            controller does not know.
+        motor_strength: (N,) what the rotors give of what they are asked for.
+        visibility: (N,) m, the depth beyond which the camera reads its far end.
+        depth_noise: (N,) standard deviation of the depths, as a share of them.
+        depth_dropout: (N,) share of the pixels that read the camera's far end, others at every step.
+        latency: (N,) control steps by which actions are late.
     """
 
     start: Any = axis("start_x start_y", unit="m", low=-MAX_COORDINATE, high=MAX_COORDINATE)
     goal: Any = axis("goal_x goal_y", unit="m", low=-MAX_COORDINATE, high=MAX_COORDINATE)
     map_id: Any = axis("map", dtype=np.int32, default=0, low=0, high=MAX_MAPS - 1)
+    heading: Any = axis("heading", unit="rad", default=0.0, low=-2 * np.pi, high=2 * np.pi, optional=True)
+    wind: Any = axis("wind_x wind_y wind_z", unit="m/s", default=0.0, low=-50, high=50, optional=True)
+    gust: Any = axis("gust", unit="m/s", default=0.0, low=0, high=20, optional=True)
+    payload: Any = axis("payload", unit="kg", default=0.0, low=0, high=100, optional=True)
+    motor_strength: Any = axis("motor_strength", default=1.0, low=0, high=2, optional=True)
+    visibility: Any = axis("visibility", unit="m", default=1000.0, low=0, high=1000, optional=True)
+    depth_noise: Any = axis("depth_noise", default=0.0, low=0, high=1, optional=True)
+    depth_dropout: Any = axis("depth_dropout", default=0.0, low=0, high=1, optional=True)
+    latency: Any = axis(
+        "latency", dtype=np.int32, unit="control steps", default=0, low=0, high=MAX_LATENCY, optional=True
+    )
 
     @property
     def size(self) -> int:
         """N, the number of configurations."""
         return self.start.shape[0]
+
+
+def draws_on_the_way(config: Configurations) -> bool:
+    """Whether episodes in such configurations draw more than how they start."""
+    return any(drawn is not None for drawn in (config.gust, config.depth_noise, config.depth_dropout))
 
 
 def _there_and_back(pairs: list[tuple[tuple[float, float], tuple[float, float]]]) -> Configurations:

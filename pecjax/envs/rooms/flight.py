@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pecjax.envs.rooms.air import drag_force
 from pecjax.envs.rooms.clearance import wall_distance
 from pecjax.envs.rooms.maps import Walls
 from pecjax.envs.rooms.quiet_mjx import mjx
@@ -45,6 +46,22 @@ class Command(NamedTuple):
     speed: jax.Array
     yaw_rate: jax.Array
     height: jax.Array | float
+
+
+class Conditions(NamedTuple):
+    """What the controller does not know of; what is None costs nothing.
+
+    Attributes:
+        air: (3,) m/s, the air's velocity in the world.
+        drag: of the airframe, see `air.drag_force`.
+        payload: () kg at the drone's centre of mass.
+        motor_strength: () what the rotors give of what they are asked for.
+    """
+
+    air: jax.Array | None = None
+    drag: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    payload: jax.Array | None = None
+    motor_strength: jax.Array | None = None
 
 
 @dataclass(frozen=True)
@@ -141,17 +158,35 @@ def allocate_rotors(vehicle: Vehicle, thrust: jax.Array, torque: jax.Array) -> j
     return lift + jnp.minimum(share, 1.0) * yaw
 
 
-def physics_step(vehicle: Vehicle, state: DroneState, controls: jax.Array) -> DroneState:
+def physics_step(
+    vehicle: Vehicle, state: DroneState, controls: jax.Array, conditions: Conditions = Conditions()
+) -> DroneState:
     """One MJX step of `vehicle.timestep` seconds under rotor controls (U,)."""
+    if conditions.motor_strength is not None:
+        controls = controls * conditions.motor_strength
     wrench = jnp.asarray(vehicle.rotors.wrench, controls.dtype)
     thrust, *torque = (dot(row, controls) for row in wrench)
     # Given as the force that MuJoCo's site actuators come to: MJX's own way there is much longer.
-    up = quaternion_to_matrix(state.qpos[3:])[:, 2]
-    applied = jnp.concatenate([thrust * up, jnp.stack(torque)])
+    rotation = quaternion_to_matrix(state.qpos[3:])
+    force = thrust * rotation[:, 2]
+    if conditions.air is not None:
+        force = force + drag_force(conditions.drag, conditions.air, rotation, state.qvel[:3])
+    applied = jnp.concatenate([force, jnp.stack(torque)])
+    physics = vehicle.physics if conditions.payload is None else _loaded(vehicle, conditions.payload)
     data = mjx.make_data(vehicle.physics).replace(qpos=state.qpos, qvel=state.qvel, qfrc_applied=applied)
     with jax.default_matmul_precision("highest"):  # GPUs would round products to 11 bits
-        data = mjx.step(vehicle.physics, data)
+        data = mjx.step(physics, data)
     return DroneState(data.qpos, data.qvel)
+
+
+def _loaded(vehicle: Vehicle, payload: jax.Array) -> mjx.Model:
+    """The physics of a drone that has grown by the payload (kg), its inertia with its mass."""
+    physics, growth = vehicle.physics, 1 + payload / vehicle.mass
+    return physics.replace(
+        body_mass=physics.body_mass * growth,
+        body_subtreemass=physics.body_subtreemass * growth,
+        body_inertia=physics.body_inertia * growth,
+    )
 
 
 def fly(
@@ -161,6 +196,7 @@ def fly(
     state: DroneState,
     command: Command,
     num_steps: int,
+    conditions: Conditions = Conditions(),
 ) -> tuple[DroneState, jax.Array]:
     """Holds a command for `num_steps` physics steps.
 
@@ -171,7 +207,7 @@ def fly(
 
     def step(_: int, carry: tuple[DroneState, jax.Array]) -> tuple[DroneState, jax.Array]:
         state, nearest = carry
-        state = physics_step(vehicle, state, rotor_controls(vehicle, gains, state, command))
+        state = physics_step(vehicle, state, rotor_controls(vehicle, gains, state, command), conditions)
         return state, jnp.minimum(nearest, wall_distance(walls, state.qpos[:3]))
 
     nothing_near = jnp.full((), jnp.inf, state.qpos.dtype)

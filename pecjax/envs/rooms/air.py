@@ -1,0 +1,48 @@
+"""Moving air: the drag of an airframe in it, and gusts."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from pecjax.envs.rooms.rotations import dot
+
+
+def drag_force(
+    drag: tuple[float, float, float], air: jax.Array, rotation: jax.Array, velocity: jax.Array
+) -> jax.Array:
+    """Force (3,) N in the world of air that moves past the drone.
+
+    -c |u| u along each axis of the drone, where u is its velocity relative to the air, as in
+    hector_quadrotor (Meyer et al. 2012, `quadrotor_aerodynamics`), without the drag of rotation.
+
+    Args:
+        drag: c along the drone's own x, y and z, N s²/m².
+        air, velocity: (3,) m/s of the air and of the drone, in the world.
+        rotation: (3, 3), columns are the drone's axes in the world.
+    """
+    relative = velocity - air
+    along = rotation.T @ relative
+    return rotation @ (-jnp.asarray(drag, along.dtype) * jnp.sqrt(dot(relative, relative)) * along)
+
+
+def first_gust(key: jax.Array, deviation: jax.Array) -> jax.Array:
+    """A gust (3,) m/s as it is when nothing is known of the time before.
+
+    Args:
+        deviation: () m/s, the standard deviation of each component.
+    """
+    return deviation * jax.random.normal(key, (3,))
+
+
+def next_gust(
+    key: jax.Array, gust: jax.Array, deviation: jax.Array, period: float, correlation_time: float
+) -> jax.Array:
+    """The gust (3,) m/s after `period` s: an Ornstein-Uhlenbeck process, exact for any period.
+
+    Args:
+        deviation: () m/s, of each component at any time.
+        correlation_time: s, after which the correlation has fallen to 1/e.
+    """
+    kept = jnp.exp(jnp.float32(-period / correlation_time))
+    return kept * gust + jnp.sqrt(1 - kept**2) * first_gust(key, deviation)
