@@ -21,6 +21,7 @@ from pathlib import Path
 
 import jax
 import learning
+import numpy as np
 import trainings
 import workloads as w
 from workloads import Workload
@@ -29,6 +30,7 @@ import pecjax
 from pecjax.agents import PPO, Apex
 from pecjax.curriculum import pec, uniform
 from pecjax.envs.rooms import Rooms
+from pecjax.envs.task import World
 from pecjax.runtime.devices import use_all_cores
 from pecjax.runtime.provenance import environment_facts
 from pecjax.training.presets import PRESETS
@@ -105,6 +107,23 @@ def devices() -> Group:
     }
 
 
+def maps() -> Group:
+    """Our environment in one map and in a bank of many copies of it, with 2,000 configurations each."""
+    (task, world), mesh, settings = Rooms().make(), w.device_mesh(), PPO()
+    rows = np.arange(2000)
+    table = jax.tree.map(lambda leaf: np.asarray(leaf)[rows % len(leaf)], world.table)
+    group: Group = {}
+    for number in (1, 2000):
+        bank = jax.tree.map(lambda leaf, number=number: np.repeat(leaf, number, axis=0), world.params.bank)
+        there = World(
+            world.params._replace(bank=bank), table.replace(map_id=(rows % number).astype(np.int32))
+        )
+        group[f"environment alone, {number:,} map(s)"] = w.environment(
+            task, there, uniform(2000), mesh, settings.num_envs, settings.num_steps
+        )
+    return group
+
+
 def samplers() -> Group:
     """Training end to end under uniform sampling and under PEC, and each sampler's own part of it."""
     (task, world), mesh = Rooms().make(), w.device_mesh()
@@ -171,6 +190,7 @@ GROUPS: dict[str, Callable[[], Group]] = {
     "depth-16x12": lambda: depth_images((16, 12)),
     "depth-64x48": lambda: depth_images((64, 48)),
     "devices": devices,
+    "maps": maps,
     "samplers": samplers,
     "curricula": large_curricula,
     "apex": apex_training,

@@ -46,3 +46,18 @@ def test_brax_can_evaluate_it(scene):
     np.testing.assert_array_equal(found.episode_metrics["timeout"], np.ones(4))
     np.testing.assert_array_equal(found.episode_steps, np.full(4, 20))
     np.testing.assert_array_equal(found.active_episodes, np.zeros(4))
+
+
+def test_under_brax_what_the_camera_misses_is_drawn_anew_at_every_step(scene):
+    dropping = pecjax.COORDINATE_SET_1.replace(depth_dropout=np.full(20, 0.5, np.float32))
+    env = pecjax.RoomsNavigation(scene, dropping, pecjax.NavigationSettings(max_steps=20))
+    state, far = env.reset(jax.random.key(0)), scene.vehicle.camera.far
+    missed = []
+    for _ in range(4):
+        state = env.step(state, jnp.int32(STAND))
+        missed.append(np.asarray(state.obs["depth"] == far))
+    assert all((one != other).any() for n, one in enumerate(missed) for other in missed[:n])
+    assert 0.4 < np.mean(missed) < 0.75  # half of the pixels, and those that see as far
+    first, last, rows = wrapped_flight(env, STAND, steps=50, episode_length=1000)
+    assert ends_of(rows) == [[19, 39]] * 4
+    assert (first.info["key"] != last.info["key"]).any(axis=-1).all()

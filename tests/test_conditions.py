@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 from scipy import stats
+from test_flight import replay
 
 import pecjax
 from pecjax.envs.rooms.air import drag_force, first_gust, next_gust
@@ -36,28 +37,13 @@ def fly_on(vehicle, conditions, steps=300):
     return [np.asarray(x) for x in jax.jit(lambda: jax.lax.scan(step, first, jnp.arange(steps)))()[1]]
 
 
-def drag_in_numpy(qpos, qvel, air):
+def in_wind(qpos, qvel):
     """hector_quadrotor's drag, transcribed."""
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, qpos[3:])
     rotation = rotation.reshape(3, 3)
-    u = rotation.T @ (qvel[:3] - air)
+    u = rotation.T @ (qvel[:3] - WIND)
     return rotation @ (-np.array([0.12, 0.12, 0.1]) * np.linalg.norm(u) * u)
-
-
-def replay_in(model, controls, first, air=None):
-    """qpos, qvel after each step of C MuJoCo under recorded controls, in moving air."""
-    data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:] = first
-    drone = model.body("drone").id
-    states = []
-    for row in controls:
-        data.ctrl[:] = row
-        if air is not None:
-            data.xfrc_applied[drone, :3] = drag_in_numpy(data.qpos, data.qvel, air)
-        mujoco.mj_step(model, data)
-        states.append(np.concatenate([data.qpos, data.qvel]))
-    return np.split(np.array(states), [7], axis=1)
 
 
 def assert_same(flown, expected):
@@ -79,7 +65,7 @@ def first():
 
 def test_wind_is_that_of_c_mujoco_under_the_same_force(scene, first):
     flown = fly_on(scene.vehicle, Conditions(air=jnp.asarray(WIND), drag=DRAG))
-    assert_same(flown, replay_in(scene.model, flown[2], first, WIND))
+    assert_same(flown, replay(scene.model, flown[2], first, in_wind))
     without = fly_on(scene.vehicle, Conditions())
     assert np.abs(flown[0][:, :3] - without[0][:, :3]).max() > 0.3  # and it matters
 
@@ -92,7 +78,7 @@ def test_a_payload_is_that_of_c_mujoco_with_a_heavier_body(first):
     scene.model.body_mass[drone] *= growth
     scene.model.body_inertia[drone] *= growth
     mujoco.mj_setConst(scene.model, mujoco.MjData(scene.model))
-    assert_same(flown, replay_in(scene.model, flown[2], first))
+    assert_same(flown, replay(scene.model, flown[2], first))
     # The controller does not know: it settles where its climb command makes up for the weight.
     hanging = fly_on(vehicle, Conditions(payload=jnp.asarray(0.4)), steps=1500)[0][-1, 2]
     gains = pecjax.ControllerGains()
@@ -102,7 +88,7 @@ def test_a_payload_is_that_of_c_mujoco_with_a_heavier_body(first):
 
 def test_weak_motors_are_those_of_c_mujoco_under_weaker_controls(scene, first):
     flown = fly_on(scene.vehicle, Conditions(motor_strength=jnp.asarray(0.8)))
-    assert_same(flown, replay_in(scene.model, 0.8 * flown[2], first))
+    assert_same(flown, replay(scene.model, 0.8 * flown[2], first))
 
 
 def test_an_uncontrolled_drone_comes_to_drift_with_the_wind(scene, first):

@@ -60,13 +60,15 @@ def fly_all(scene, gains=pecjax.ControllerGains(), dtype=np.float32):
     return {name: tuple(np.asarray(x[n]) for x in flown) for n, name in enumerate(FLIGHTS)}
 
 
-def replay(model, controls, first):
-    """qpos, qvel after each step of C MuJoCo under recorded controls."""
+def replay(model, controls, first, force=None):
+    """qpos, qvel after each step of C MuJoCo under recorded controls, and a force (3,) N of qpos and qvel."""
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = first
     states = []
     for row in controls:
         data.ctrl[:] = row
+        if force is not None:
+            data.xfrc_applied[model.body("drone").id, :3] = force(data.qpos, data.qvel)
         mujoco.mj_step(model, data)
         states.append(np.concatenate([data.qpos, data.qvel]))
     return np.split(np.array(states), [7], axis=1)

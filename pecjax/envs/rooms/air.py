@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import jax
 import jax.numpy as jnp
 
@@ -22,8 +24,9 @@ def drag_force(
         rotation: (3, 3), columns are the drone's axes in the world.
     """
     relative = velocity - air
-    along = rotation.T @ relative
-    return rotation @ (-jnp.asarray(drag, along.dtype) * jnp.sqrt(dot(relative, relative)) * along)
+    speed = jnp.sqrt(dot(relative, relative))
+    along = (c * speed * dot(axis, relative) * axis for c, axis in zip(drag, rotation.T, strict=True))
+    return -sum(along, start=jnp.zeros_like(relative))
 
 
 def first_gust(key: jax.Array, deviation: jax.Array) -> jax.Array:
@@ -44,5 +47,5 @@ def next_gust(
         deviation: () m/s, of each component at any time.
         correlation_time: s, after which the correlation has fallen to 1/e.
     """
-    kept = jnp.exp(jnp.float32(-period / correlation_time))
-    return kept * gust + jnp.sqrt(1 - kept**2) * first_gust(key, deviation)
+    kept = math.exp(-period / correlation_time)
+    return kept * gust + math.sqrt(1 - kept**2) * first_gust(key, deviation)

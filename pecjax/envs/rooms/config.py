@@ -51,7 +51,9 @@ class Configurations:
     gust: Any = axis("gust", unit="m/s", default=0.0, low=0, high=20, optional=True)
     payload: Any = axis("payload", unit="kg", default=0.0, low=0, high=100, optional=True)
     motor_strength: Any = axis("motor_strength", default=1.0, low=0, high=2, optional=True)
-    visibility: Any = axis("visibility", unit="m", default=1000.0, low=0, high=1000, optional=True)
+    visibility: Any = axis(
+        "visibility", unit="m", default=MAX_COORDINATE, low=0, high=MAX_COORDINATE, optional=True
+    )
     depth_noise: Any = axis("depth_noise", default=0.0, low=0, high=1, optional=True)
     depth_dropout: Any = axis("depth_dropout", default=0.0, low=0, high=1, optional=True)
     latency: Any = axis(
