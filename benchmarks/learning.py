@@ -87,7 +87,8 @@ def curriculum(sampler: Sampler, num_configs: int, draws: int) -> tuple[Workload
 
     def draw_and_tally(state, key):
         ids = sampler.sample(state, key, (draws,))
-        return sampler.update(state, Outcomes(ids, jnp.ones(draws, bool), ids % 3 == 0))
+        what = jnp.ones(draws)  # length, return and signal
+        return sampler.update(state, Outcomes(ids, jnp.ones(draws, bool), ids % 3 == 0, what, what, what))
 
     program = jax.jit(draw_and_tally)
     counts = jnp.zeros((2, num_configs), jnp.int32)

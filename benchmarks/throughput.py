@@ -9,6 +9,7 @@ that drifts drifts for all of them; only ratios within a group are worth quoting
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import os
 import statistics
@@ -27,12 +28,15 @@ import workloads as w
 from workloads import Workload
 
 import pecjax
+from pecjax import curriculum as c
 from pecjax.agents import PPO, Apex
 from pecjax.curriculum import pec, uniform
-from pecjax.envs.rooms import Rooms
+from pecjax.envs.rooms import Rooms, RoomsTask
+from pecjax.envs.rooms.plans import FAMILIES, make_plans
 from pecjax.envs.task import World
 from pecjax.runtime.devices import use_all_cores
 from pecjax.runtime.provenance import environment_facts
+from pecjax.training.kinds import sampler_label
 from pecjax.training.presets import PRESETS
 
 Group = dict[str, Workload]
@@ -108,7 +112,10 @@ def devices() -> Group:
 
 
 def maps() -> Group:
-    """Our environment in one map and in a bank of many copies of it, with 2,000 configurations each."""
+    """Our environment in one map, in many copies of it, in floor plans, and in plans of 64 boxes each.
+
+    There are 2,000 configurations each.
+    """
     (task, world), mesh, settings = Rooms().make(), w.device_mesh(), PPO()
     rows = np.arange(2000)
     table = jax.tree.map(lambda leaf: np.asarray(leaf)[rows % len(leaf)], world.table)
@@ -120,6 +127,18 @@ def maps() -> Group:
         )
         group[f"environment alone, {number:,} map(s)"] = w.environment(
             task, there, uniform(2000), mesh, settings.num_envs, settings.num_steps
+        )
+    apartment = next(family for family in FAMILIES if family.name == "apartment")
+    crowded = dataclasses.replace(apartment, low=(20, 20), shelves=(20, 20), hanging=(20, 20))
+    for name, families in {"floor plans": FAMILIES, "crowded floor plans": (crowded,)}.items():
+        plans = make_plans(1000, families=families, workers=2)
+        group[f"environment alone, 1,000 {name}"] = w.environment(
+            RoomsTask(task.vehicle),  # its own, as programs are kept by task
+            World(world.params._replace(bank=plans.bank), plans.configurations),
+            uniform(2000),
+            mesh,
+            settings.num_envs,
+            settings.num_steps,
         )
     return group
 
@@ -134,13 +153,24 @@ def samplers() -> Group:
     return whole | parts
 
 
+FAMILY = (
+    c.Uniform(), c.PEC(), c.Forgetting(), c.FailureEMA(), c.Learnability(), c.PassAtN(), c.TableTop(),
+    c.Thompson(), c.LearningProgress(), c.DRO(), c.PLR(rank=False), c.PLR(rank=False, score="max_mc"),
+    c.SFL(), c.Floor(), c.Mixture(), c.PerStep(),
+)  # fmt: skip
+
+
 def large_curricula() -> Group:
-    """4,096 draws and their tally, and a copy of the counts, by the number of configurations."""
+    """Draws and their tally, and a copy of the counts, by the number of configurations and by sampler."""
     group: Group = {}
     for num_configs in (20, 10_000, 1_000_000):
         work, copy = learning.curriculum(pec(num_configs), num_configs, 4096)
         group[f"copy of the counts, N = {num_configs:,}"] = copy
         group[f"draw and tally 4,096, N = {num_configs:,}"] = work
+    million = 1_000_000
+    for kind in FAMILY:
+        work, _ = learning.curriculum(kind.make(million), million, 16_384)
+        group[f"draw and tally 16,384, N = {million:,}, {sampler_label(kind)}"] = work
     return group
 
 

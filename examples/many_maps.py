@@ -13,7 +13,8 @@ import pecjax
 from pecjax.envs.axes import make_table
 from pecjax.envs.rooms import RoomsTask
 from pecjax.envs.rooms.maps import MapBank
-from pecjax.envs.rooms.task import NavigationSettings, RoomsParams
+from pecjax.envs.rooms.rules import NavigationSettings
+from pecjax.envs.rooms.task import RoomsParams
 from pecjax.envs.task import TaskSettings, World
 from pecjax.runtime.devices import keep_compiled_programs, use_all_cores
 

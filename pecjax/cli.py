@@ -1,4 +1,4 @@
-"""The command line: `pecjax train`, `eval`, `study`, `figures` and `check`; `pecjax --version`."""
+"""The command line: `pecjax train`, `eval`, `study`, `figures`, `check`, `maps`, `spaces`; `--version`."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from pecjax.commands import settings_args
 from pecjax.commands.check import Check
 from pecjax.commands.evaluate import Eval
 from pecjax.commands.figures import Figures
+from pecjax.commands.maps import ACTIONS, Maps
 from pecjax.commands.options import read
+from pecjax.commands.spaces import Spaces
 from pecjax.commands.study import Study
 from pecjax.commands.train import Train
 from pecjax.errors import DivergedError, InputError, LostProcessError, StoppedError
 from pecjax.runtime import devices
 from pecjax.settings_tree import nearest
-from pecjax.training.presets import PRESETS
 
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
@@ -30,6 +31,8 @@ Command = (
     | Annotated[Study, tyro.conf.subcommand("study")]
     | Annotated[Figures, tyro.conf.subcommand("figures")]
     | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[Maps, tyro.conf.subcommand("maps")]
+    | Annotated[Spaces, tyro.conf.subcommand("spaces")]
 )
 
 
@@ -53,20 +56,37 @@ def parse(args: Sequence[str] | None = None) -> Command:
             f"unknown command '{command}'{nearest(command, known)}; give one of {', '.join(known)}"
         )
     kind = commands.get(command)
+    named = kind
+    if kind is Maps and words[1:2] not in (["--help"], ["-h"]):
+        named, command = _action(words), " ".join(words[:2])
     words, settings = settings_args.split(words, kind) if kind in (Train, Study) else (words, [])
-    known = ["--" + field.name.replace("_", "-") for field in dataclasses.fields(kind)] if kind else []
+    known = ["--" + field.name.replace("_", "-") for field in dataclasses.fields(named)] if named else []
     try:
         found = read(Command, words, known, prog="pecjax", description=__doc__)
-        for field in dataclasses.fields(found):
-            if field.default is None and getattr(found, field.name) == ():
+        options = found.action if isinstance(found, Maps) else found
+        for field in dataclasses.fields(options):
+            if field.default is None and getattr(options, field.name) == ():
                 raise InputError(f"--{field.name.replace('_', '-')} has no value; give one or leave it out")
     except InputError as error:
         raise InputError(f"{error}; pecjax {command} --help lists all options") from None
     except SystemExit:
         if kind in (Train, Study):
-            settings_args.print_help(PRESETS["fast"], kind)
+            settings_args.print_help(settings_args.shown_by_help([*words, *settings]), kind)
         raise
     return dataclasses.replace(found, settings=tuple(settings)) if settings else found
+
+
+def _action(words: Sequence[str]) -> type:
+    """What `pecjax maps` is asked to do.
+
+    Raises:
+        InputError: nothing, or what it cannot do.
+    """
+    asked = " ".join(words[1:2])
+    if asked not in ACTIONS:
+        what = f"unknown action '{asked}'{nearest(asked, [*ACTIONS])}" if asked else "no action"
+        raise InputError(f"{what}; give one of {', '.join(ACTIONS)}; pecjax {words[0]} --help explains them")
+    return ACTIONS[asked]
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -111,6 +111,13 @@ def _takes_several(declared: Any) -> bool:
     return any(get_origin(part) is tuple for part in (declared, *get_args(declared)))
 
 
+def replace_at(tree: T, path: str, value: Any) -> T:
+    """The tree with a value, of the right type, in the place of what a dotted path leads to."""
+    first, _, rest = path.partition(".")
+    inner = replace_at(getattr(tree, first), rest, value) if rest else value
+    return dataclasses.replace(tree, **{first: inner})  # type: ignore[type-var]
+
+
 def to_json(tree: Any, declared: Any = None) -> Any:
     """A tree as what JSON holds: every setting, and the address of every kind.
 

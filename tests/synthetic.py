@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from pecjax.agents import Metrics
+from pecjax.envs.task import EvalSet
 from pecjax.studies.catalogue import find_study
 from pecjax.studies.collect import Collected
 from pecjax.studies.directory import StudyDirectory
@@ -57,7 +58,7 @@ def add(collected, iteration, size, value):
         counts = made_counts(size, value) * iteration
         flights = made_flights(size, value)
         collected.arrays("configurations", iteration, [configuration_arrays(counts, np.full(size, 1 / size))])
-        collected.rows("evaluation", [evaluation_row(iteration, steps, flights, size)])
+        collected.rows("evaluation", [evaluation_row(iteration, steps, flights, EvalSet(np.zeros(size)))])
         collected.arrays("episodes", iteration, [episode_arrays(flights, with_paths=False)])
 
 
@@ -70,7 +71,12 @@ def made_counts(size, ratio):
 def made_metrics(ratio):
     failed = round(1000 * (1 - ratio))
     return Metrics(
-        np.array(1000), np.array([1000, failed]), {"return": np.array(100.0), "length": np.array(9.0)}, {}, {}
+        np.array(1000),
+        np.array([1000, failed]),
+        {"return": np.array(100.0), "length": np.array(9.0)},
+        {},
+        {},
+        {},
     )
 
 

@@ -165,8 +165,7 @@ def test_a_folder_of_maps_is_checked_flown_kept_and_drawn(edited_rooms, tmp_path
     shutil.rmtree("maps")
     capsys.readouterr()
     assert main(["eval", "run", "--episodes", "6"]) == 0
-    lines = capsys.readouterr().out.splitlines()[1:]
-    assert [re.search(r"in map (\d)", line)[1] for line in lines] == ["1", "0", "0"]
+    assert re.findall(r"^  c\d .* in map (\d)", capsys.readouterr().out, re.MULTILINE) == ["1", "0", "0"]
     assert main(["figures", "run"]) == 0 and "run/figures/map.png" in capsys.readouterr().out
     assert main(["train", "--resume", "--out", "run", "--iterations", "3"]) == 0
     Path("run/maps/1.xml").unlink()
@@ -188,9 +187,11 @@ def test_a_task_of_ones_own_trains_resumes_evaluates_and_is_drawn(tmp_path, monk
     assert drawn == {"goal_ratio", "configurations", "spread", "evaluation"}
     capsys.readouterr()
     assert main(["eval", "run", "--episodes", "6"]) == 0
-    assert [line.split()[:2] for line in capsys.readouterr().out.splitlines()[1:]] == [
-        ["c0", "0"], ["c1", "1"], ["c2", "2"]
-    ]  # fmt: skip
+    out = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
+    assert out[1][:2] == ["all", "6"]
+    assert [line[:2] for line in out[2:]] == [["c0", "0"], ["c1", "1"], ["c2", "2"]]
+    assert main(["eval", "run", "--space", "rooms-pairs"]) == 2
+    assert "a task without spaces or maps" in capsys.readouterr().err
     assert main([*TRAIN[:-1], "other", *own, "--coordinates", "2"]) == 2
     assert "the task own_task:PuckSettings has no table; leave out --coordinates" in capsys.readouterr().err
     assert main(["train", *own, "--agent", "apex", "--out", "other"]) == 2

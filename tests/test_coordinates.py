@@ -10,6 +10,7 @@ import pecjax
 from pecjax.envs.axes import fill
 from pecjax.envs.configuration_files import table_text
 from pecjax.envs.rooms.clearance import wall_distance
+from pecjax.envs.rooms.clearance_grid import make_grid
 from pecjax.envs.rooms.notices import map_notices
 from pecjax.envs.rooms.validity import free_regions
 
@@ -329,3 +330,13 @@ def test_any_text_is_a_table_or_is_refused_in_one_line(tmp_path_factory, text):
         assert np.isfinite(pecjax.load_coordinates(path).start).all()
     except pecjax.InputError as error:
         assert str(path) in str(error) and "\n" not in str(error)
+
+
+def test_clearance_on_a_grid_is_the_distance_to_the_walls(scene):
+    """At every cell of the six rooms, up to the reach; reachability and shortest paths rest on it."""
+    one = scene.map
+    grid = make_grid(one.lower, one.upper, one.bounds, flight_height=1.2, cell=0.1, reach=0.6)
+    cells = np.stack(np.meshgrid(*map(np.arange, grid.clearance.shape), indexing="ij"), axis=-1)
+    places = np.concatenate([grid.origin + 0.1 * cells, np.full((*cells.shape[:2], 1), 1.2)], axis=-1)
+    expected = np.minimum(np.asarray(wall_distance(scene.walls, places.astype(np.float32))), 0.6)
+    np.testing.assert_allclose(grid.clearance, expected, atol=1e-5)

@@ -18,7 +18,7 @@ probabilities = jax.jit(pec(N).probabilities)  # α comes with the state
 
 def state_of(trials, failures, alpha=0.2):
     counts = jnp.asarray(np.array([trials, failures]), jnp.int32)
-    return pec(counts.shape[1]).init()._replace(counts=counts, numbers={"alpha": jnp.float32(alpha)})
+    return pec(counts.shape[1]).init()._replace(statistics=counts, numbers={"alpha": jnp.float32(alpha)})
 
 
 def equations_1_and_2(trials, failures, alpha):
@@ -87,7 +87,7 @@ def test_a_further_failure_makes_a_configuration_likelier(counts, config):
 def test_before_any_trial_all_are_alike():
     state = pec(N).init()
     np.testing.assert_allclose(probabilities(state), np.full(N, 1 / N), rtol=1e-6)
-    assert state.counts.shape == (2, N)
+    assert state.statistics.shape == (2, N)
     assert state.numbers == {"alpha": np.float32(0.2)}  # the paper's default
 
 
@@ -121,7 +121,7 @@ def test_uniform_draws_all_alike_and_keeps_counts_that_change_nothing():
     assert stats.chisquare(np.bincount(ids, minlength=N)).pvalue > 1e-3
     outcomes = some_outcomes((100,))
     after = sampler.update(sampler.update(state, outcomes), outcomes)
-    np.testing.assert_array_equal(after.counts, 2 * counted_by_hand(outcomes))
+    np.testing.assert_array_equal(after.statistics, 2 * counted_by_hand(outcomes))
     np.testing.assert_array_equal(sampler.probabilities(after), sampler.probabilities(state))
 
 
@@ -151,7 +151,7 @@ def test_ids_of_environments_serve_flags_of_their_steps(traced):
     ],
 )
 def test_lists_and_scalars_are_outcomes_too(outcomes, trials, failures):
-    counts = np.asarray(pec(N).update(pec(N).init(), outcomes).counts)
+    counts = np.asarray(pec(N).update(pec(N).init(), outcomes).statistics)
     expected = np.zeros((2, N), int)
     for row, numbers in enumerate((trials, failures)):
         for config, number in numbers.items():
@@ -201,8 +201,8 @@ def test_counts_are_kept_over_the_whole_training():
     batches = [some_outcomes((40, 8), seed) for seed in range(5)]
     for batch in batches:
         state = update(state, batch)
-    np.testing.assert_array_equal(state.counts, sum(counted_by_hand(batch) for batch in batches))
-    expected = equations_1_and_2(*np.asarray(state.counts), 0.2)
+    np.testing.assert_array_equal(state.statistics, sum(counted_by_hand(batch) for batch in batches))
+    expected = equations_1_and_2(*np.asarray(state.statistics), 0.2)
     np.testing.assert_allclose(probabilities(state), expected, rtol=1e-5)
 
 
@@ -217,7 +217,7 @@ def test_a_study_over_alpha_is_a_vmap():
     together = jax.jit(jax.vmap(study))(jnp.asarray(ALPHAS))
     separate = [study(float(alpha)) for alpha in ALPHAS]
     for n, (state, chances, ids) in enumerate(separate):
-        np.testing.assert_array_equal(together[0].counts[n], state.counts)
+        np.testing.assert_array_equal(together[0].statistics[n], state.statistics)
         np.testing.assert_allclose(together[1][n], chances, rtol=1e-6)
         np.testing.assert_array_equal(together[2][n], ids)
     spread = [np.ptp(chances) for _, chances, _ in separate]

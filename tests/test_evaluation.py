@@ -102,7 +102,9 @@ def in_a_plain_loop(task, world, config_id: np.ndarray) -> EvalResult:
             total += float(after.reward)
             path.append(np.asarray(state.qpos[:2]))
         success.append(bool(after.success))
+        steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
         endings.append({name: float(value) for name, value in after.metrics.items()})
+        endings[-1]["path_length"] = steps.sum()
         returns.append(total)
         lengths.append(len(path) - 1)
         paths.append(path + [path[-1]] * (LIMIT + 1 - len(path)))
@@ -115,8 +117,11 @@ def test_equals_a_plain_loop(rooms, flights):
     looped = in_a_plain_loop(*rooms, stratified_config_ids(TABLE.size, EPISODES, SEED))
     for name in ("config_id", "success", "lengths"):
         np.testing.assert_array_equal(getattr(flights, name), getattr(looped, name), err_msg=name)
-    assert set(flights.metrics) == {"collision", "timeout", "unstable"}
-    jax.tree.map(np.testing.assert_array_equal, flights.metrics, looped.metrics)
+    assert set(flights.metrics) == {"collision", "timeout", "unstable", "path_length"}
+    for name in ("collision", "timeout", "unstable"):
+        np.testing.assert_array_equal(flights.metrics[name], looped.metrics[name])
+    # Metres of many steps, added up in float32.
+    np.testing.assert_allclose(flights.metrics["path_length"], looped.metrics["path_length"], atol=1e-3)
     np.testing.assert_allclose(flights.returns, looped.returns, rtol=1e-6)
     # Metres, after up to 5 s of flight in float32.
     np.testing.assert_allclose(flights.paths, looped.paths, atol=1e-3)

@@ -167,9 +167,9 @@ def test_another_bank_of_the_same_shape_compiles_nothing(made, folder, programs)
 
 
 def keep(settings, folder):
-    for name, text in settings.files().items():
+    for name, content in settings.files().items():
         (folder / name).parent.mkdir(exist_ok=True)
-        (folder / name).write_text(text)
+        (folder / name).write_bytes(content)
 
 
 def test_what_a_run_keeps_of_its_maps_is_the_same_world(settings, made, tmp_path):

@@ -9,6 +9,7 @@ import numpy as np
 import optax
 import pytest
 import rlax
+from every_axis import write_table
 from jax.sharding import PartitionSpec
 from probe_tasks import TARGET_WORLD, WORLD, CutOff, Target, TwoStates
 from scipy import stats
@@ -25,6 +26,7 @@ from pecjax.agents.ppo.update import Batch
 from pecjax.agents.rollout import Trajectory
 from pecjax.curriculum import PEC
 from pecjax.envs.axes import fill
+from pecjax.envs.rooms.settings import Rooms
 from pecjax.envs.spaces import Box
 from pecjax.envs.task import World
 from pecjax.training.presets import PRESETS
@@ -389,6 +391,51 @@ def assert_learn_alike(one_agent, many_agent, world, iterations):
     return int(one.counts[0].sum()), many
 
 
+def hear(agent_settings, batches):
+    """What a sampler hears of each batch, (signal, done, length), and the last state."""
+    inner = pecjax.curriculum.uniform(jax.tree.leaves(WORLD.table)[0].shape[0])
+    shape = (agent_settings.num_steps, agent_settings.num_envs)
+    nothing = tuple(jnp.zeros(shape, kind) for kind in (jnp.float32, bool, jnp.int32))
+    sampler = inner._replace(
+        init=lambda: (inner.init(), nothing),
+        probabilities=lambda state: inner.probabilities(state[0]),
+        sample=lambda state, key, shape=(): inner.sample(state[0], key, shape),
+        update=lambda state, heard, axis_name=None: (state[0], (heard.signal, heard.done, heard.length)),
+    )
+    agent = agent_settings.make(TwoStates(), sampler)
+    iterate, state = jax.jit(agent.iterate), jax.jit(agent.init)(jax.random.key(0), WORLD)
+    heard = []
+    for _ in range(batches):
+        state, _ = iterate(state, WORLD)
+        heard.append(jax.tree.map(np.asarray, state.sampler[1]))
+    return heard, state
+
+
+def test_a_sampler_hears_the_mean_advantage_of_every_episode():
+    """What is positive and what is negative of it add up to its absolute value, across batches too."""
+    kinds = ("positive_value_loss", "negative_value_loss", "value_loss")
+    short = replace(SMALL, num_steps=4)  # episodes take several batches
+    heard = [hear(replace(short, signal=kind), batches=6)[0] for kind in kinds]
+    lengths, fell = [], False
+    for (up, done, length), (down, *_), (both, *_) in zip(*heard, strict=True):
+        np.testing.assert_allclose((up + down)[done], both[done], rtol=1e-4, atol=1e-7)
+        assert (up[done] >= 0).all() and (down[done] >= 0).all()
+        fell |= (down[done] > 0).any()
+        lengths.extend(length[done])
+    assert max(lengths) > 4 and fell
+
+
+def test_a_sampler_hears_the_mean_value_of_every_episode_in_units_of_the_reward():
+    """Of a learner that stands still: an episode of n steps has been in B a whole number of them."""
+    still = replace(SMALL, num_steps=4, signal="value", learning_rate=0.0, reward_scale=0.01)
+    heard, state = hear(still, batches=6)
+    first, second = forward(ActorCritic(still.network, 2, ()), state.learner.params, jnp.eye(2))[1] / 0.01
+    signal, length = (np.concatenate([row[n][row[1]] for row in heard]) for n in (0, 2))
+    in_second = length * (signal - first) / (second - first)
+    np.testing.assert_allclose(in_second, np.round(in_second), atol=2e-3)
+    assert (np.round(in_second) >= 1).all() and (np.round(in_second) <= length).all() and max(length) > 4
+
+
 @pytest.mark.parametrize("devices", [pytest.param(2, marks=pytest.mark.slow), 4])
 def test_many_devices_learn_as_one(devices):
     """In a task whose numbers are exact, so that all that differs is the rounding of sums over devices."""
@@ -407,6 +454,15 @@ def test_two_devices_fly_and_learn_as_one(near_world):
     """
     one, two = made(SMALL, *near_world), made(SMALL, *near_world, devices=2)
     trials, _ = assert_learn_alike(one, two, near_world[1], iterations=6)
+    assert trials > SMALL.num_envs
+
+
+@pytest.mark.slow
+def test_two_devices_fly_with_every_axis_as_one(tmp_path):
+    """Gusts, noise, dropout, late actions and objectives are drawn and kept by environment, not by device."""
+    task, world = Rooms(table=str(write_table(tmp_path / "axes.csv")), max_steps=100).make()
+    one, two = made(SMALL, task, world), made(SMALL, task, world, devices=2)
+    trials, _ = assert_learn_alike(one, two, world, iterations=6)
     assert trials > SMALL.num_envs
 
 

@@ -12,6 +12,7 @@ import jax
 import numpy as np
 import pandas as pd
 import pytest
+from every_axis import write_table
 from hypothesis import given, settings, strategies
 from hypothesis.extra.numpy import array_shapes, arrays as arrays_of
 
@@ -22,6 +23,7 @@ from pecjax.agents.apex.replay import ReplaySettings
 from pecjax.agents.networks import NetworkSettings
 from pecjax.cli import main
 from pecjax.curriculum import PEC
+from pecjax.envs.axes import axes_of
 from pecjax.envs.rooms.settings import Rooms
 from pecjax.errors import DivergedError, StoppedError
 from pecjax.runtime import provenance
@@ -104,6 +106,9 @@ def whole(folders):
 CASES = [
     pytest.param(PPO, "pec", 1, id="ppo-pec-1"),
     pytest.param(PPO, "uniform", 2, id="ppo-uniform-2", marks=pytest.mark.slow),
+    pytest.param(PPO, "mixture", 2, id="ppo-mixture-2", marks=pytest.mark.slow),
+    pytest.param(PPO, "plr", 2, id="ppo-plr-2", marks=pytest.mark.slow),
+    pytest.param(PPO, "thompson", 1, id="ppo-thompson-1", marks=pytest.mark.slow),
     pytest.param(APEX, "pec", 2, id="apex-pec-2", marks=pytest.mark.slow),
     pytest.param(APEX, "uniform", 1, id="apex-uniform-1", marks=pytest.mark.slow),
 ]
@@ -613,3 +618,15 @@ def test_any_tree_of_arrays_reads_back_bit_for_bit(tmp_path_factory, tree):
     for found, wanted in zip(jax.tree.leaves(back), jax.tree.leaves(tree), strict=True):
         assert found.dtype == wanted.dtype and found.shape == wanted.shape
         assert np.asarray(found).tobytes() == wanted.tobytes()
+
+
+def test_a_run_with_every_axis_resumes_bit_for_bit(folders):
+    """Gusts, camera noise, late actions and the progress of objectives are all in the state."""
+    table = write_table(folders / "axes.csv")
+    every = replace(PPO, task=replace(PPO.task, table=str(table)))
+    world = every.task.make()[1]
+    assert all(getattr(world.table, name) is not None for name in axes_of(pecjax.Configurations))
+    training.train(every, folders / "every-axis", devices=2)
+    training.train(override(every, iterations=4), folders / "every-axis-in-two", devices=2)
+    training.resume(every, folders / "every-axis-in-two")
+    assert_same_run(folders / "every-axis", folders / "every-axis-in-two")

@@ -12,7 +12,7 @@ import pecjax
 from pecjax.envs.axes import axes_of, columns_of, make_table
 from pecjax.envs.configuration_files import table_text
 from pecjax.envs.rooms.camera_errors import with_errors
-from pecjax.envs.rooms.config import MAX_LATENCY
+from pecjax.envs.rooms.config import HOLD, MAX_LATENCY, REACH, VIA
 from pecjax.envs.rooms.maps import make_bank
 from pecjax.envs.rooms.task import STAND_STILL, RoomsParams, RoomsTask
 from pecjax.envs.task import World, take_configs
@@ -71,12 +71,12 @@ def test_the_least_effect_is_none(name, fly):
     """Wind and gust need air, which has drag, and a heading is no longer drawn."""
     neutral = np.full(len(OPTIONAL[name].columns), OPTIONAL[name].default, OPTIONAL[name].dtype)
     expected, seen = fly(table_with())
-    qpos, depth = fly(table_with(**{name: neutral[0]}))
+    qpos, depth = fly(table_with(**{name: neutral if neutral.size > 1 else neutral[0]}))
     np.testing.assert_allclose(qpos, expected, atol=2e-5)
     np.testing.assert_allclose(depth, seen, atol=2e-5)
 
 
-def test_all_axes_at_once_keep_to_the_contract_of_tasks(task, params):
+def test_all_axes_at_once_keep_to_the_contract_of_tasks(scene, params):
     table = make_table(
         pecjax.Configurations,
         start=np.repeat(START, 4, axis=0),
@@ -90,8 +90,11 @@ def test_all_axes_at_once_keep_to_the_contract_of_tasks(task, params):
         depth_noise=np.linspace(0, 0.1, 4),
         depth_dropout=np.linspace(0, 0.2, 4),
         latency=np.arange(4),
+        objective=np.array([REACH, HOLD, VIA, REACH]),
+        waypoint=np.full((4, 2), -2),
     )
     assert not [name for name in OPTIONAL if getattr(table, name) is None]
+    task = RoomsTask(scene.vehicle, objectives=True)
     assert check_task(task, World(params, table), steps=30) > 0
 
 
@@ -110,9 +113,16 @@ def test_latency_is_the_same_flight_later(latency, fly):
     np.testing.assert_allclose(late[: latency + 1], np.repeat(late[:1], latency + 1, axis=0), atol=1e-4)
 
 
-@pytest.mark.parametrize("wrong", [{"drag": (0.1, -0.1, 0.1)}, {"drag": (0.1, 0.1)}, {"gust_time": 0.0}])
-def test_air_that_cannot_be_gets_one_line(wrong, scene):
-    with pytest.raises(pecjax.InputError, match=r"drag is \(.*\), gust-time .*; give three"):
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"drag": (0.1, -0.1, 0.1)}, r"drag is \(.*\); give three numbers"),
+        ({"drag": (0.1, 0.1)}, r"drag is \(.*\); give three numbers"),
+        ({"gust_time": 0.0}, "gust-time is 0.0; give a time above 0"),
+    ],
+)
+def test_air_that_cannot_be_gets_one_line(wrong, said, scene):
+    with pytest.raises(pecjax.InputError, match=said):
         RoomsTask(scene.vehicle, pecjax.NavigationSettings(**wrong))
 
 

@@ -94,7 +94,7 @@ def test_of_several_maps_the_first_is_drawn_with_what_is_in_it(two_maps):
             for step, x in enumerate((config, config + 0.25))
         ]
     )
-    (axes,) = run_figures._first_map(two_maps, flights).axes
+    (axes,) = run_figures._one_map(two_maps, flights).axes
     assert names_on(axes) == {"c1,c4", "c3"}  # by their own numbers
     drawn = [line.get_xdata()[0] for line in axes.lines if len(line.get_xdata()) == 2]
     assert drawn == [1, 3, 4] and axes.get_title().startswith("2 of 3 flights")

@@ -2,6 +2,7 @@
 
 import contextlib
 import typing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from pecjax import cli, settings_tree
 from pecjax.commands import settings_args, train
 from pecjax.commands.study import Study
 from pecjax.commands.train import Train
+from pecjax.curriculum import PEC, Floor, TableTop, Uniform
 from pecjax.training import presets
 
 OF_TRAIN = {"preset", "seed"}
@@ -155,6 +157,19 @@ def test_the_numbers_are_those_of_the_agent_and_the_task_that_are_named(monkeypa
         (["train", "--sampler.alpha", "-1"], "alpha is -1"),
         (["train", "--agent.clip-epsilon", "nan"], "clip-epsilon is nan"),
         (["train", "--stop.iterations", "0"], "iterations is 0"),
+        (
+            ["train", "--sampler", "floor", "--sampler.sampler"],
+            "--sampler.sampler has no value; give the name",
+        ),
+        (["train", "--sampler", "floor", "--sampler.sampler", "tabletop"], "(did you mean table_top?)"),
+        (
+            ["train", "--sampler", "floor", "--sampler.sampler.alpha", "1"],
+            "unknown option --sampler.sampler.alpha",
+        ),
+        (
+            ["train", "--sampler", "mixture", "--sampler.share=2"],
+            "share is 2.0; it must be a number from 0 to 1",
+        ),
         (["study", "--sampler.alpha", "1"], "a study tries its samplers' numbers; give --samplers"),
         (["study", "--sampler", "pec"], "unknown option --sampler (did you mean --samplers?)"),
         (["study", "fig4", "--agent.num-minibatches", "5"], "5 minibatches do not divide 32 steps"),
@@ -168,6 +183,19 @@ def test_what_is_wrong_gets_one_line_and_leaves_nothing(words, said, tmp_path, m
     out, err = capsys.readouterr()
     assert said in err and err.count("\n") == 1 and out == ""
     assert list(Path().iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "sampler"),
+    [
+        (["--sampler.sampler", "table_top", "--sampler.sampler.best=0.3"], Floor(TableTop(best=0.3))),
+        (["--sampler.sampler=floor", "--sampler.sampler.sampler", "uniform"], Floor(Floor(Uniform()))),
+        (["--sampler.epsilon", "0.5", "--sampler.sampler", "pec"], Floor(PEC(), 0.5)),
+    ],
+)
+def test_samplers_within_samplers_are_chosen_by_path(words, sampler):
+    base = replace(presets.find_preset(), sampler=Floor())
+    assert settings_args.apply(base, words, Train).sampler == sampler
 
 
 def test_a_study_shares_them_among_its_runs(tmp_path):
@@ -186,3 +214,12 @@ def test_help_lists_every_setting(command, capsys):
     for path in settable("ppo"):
         if command == "train" or not path.startswith("sampler"):
             assert "--" + path.replace("_", "-") in out, path
+
+
+def test_help_is_of_the_kinds_that_are_named(capsys):
+    with pytest.raises(SystemExit):
+        cli.parse(["train", "--sampler=floor", "--sampler.sampler", "table_top", "--agent", "apex", "--help"])
+    out = capsys.readouterr().out
+    for option in ("--sampler.epsilon", "--sampler.sampler.best", "--agent.replay.capacity"):
+        assert option in out
+    assert "--sampler.alpha" not in out and "--agent.clip-epsilon" not in out

@@ -6,6 +6,7 @@ import os
 import resource
 import shutil
 import signal
+import types
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from pecjax.studies.catalogue import SCALES, STUDIES, find_study
 from pecjax.studies.directory import StudyDirectory
 from pecjax.studies.grid import RunSpec, StudySettings, fixed
 from pecjax.studies.run import run_study
-from pecjax.training import train as training
+from pecjax.training import sinks, train as training
 from pecjax.training.evaluation import stratified_config_ids
 from pecjax.training.program import several_runs
 from pecjax.training.run_directory import RunDirectory
@@ -174,6 +175,7 @@ def test_its_tables_have_a_row_for_everything(study, settings):
         "mean_return",
         "mean_length",
         "collision",
+        "path_length",
         "timeout",
         "unstable",
         "training_goal_ratio",
@@ -640,3 +642,19 @@ def test_every_figure_of_a_study_is_drawn(study):
         *("configurations-pec-0", "configurations-pec-3", "configurations-uniform"),
     }
     assert {path.suffix for path in paths} == {".png", ".svg"} and all(path.is_file() for path in paths)
+
+
+def test_the_pace_of_a_study_is_that_of_whole_batches_of_rows(monkeypatch, capsys):
+    """Two runs of 100 iterations of 64 steps; after the first come 49 every 100 s, all at once."""
+    now = iter([0.0] + 49 * [100.0] + [100.0] + 50 * [200.0] + [200.0])
+    monkeypatch.setattr(sinks, "time", types.SimpleNamespace(monotonic=lambda: next(now)))
+    progress = Progress(200)
+    for iteration in range(1, 101):
+        row = {"iteration": iteration, "env_steps": 64 * iteration, "goal_ratio": 0.5, "episodes": 3}
+        progress.rows("metrics", [row, row])
+        if iteration % 50 == 0:
+            progress.rows("evaluation", [row, row])
+    assert capsys.readouterr().err.splitlines() == [
+        "iteration 100/200: training goal ratio 0.500 of 6 episode(s), 63 steps/s, 102 s left",
+        "iteration 200/200: training goal ratio 0.500 of 6 episode(s), 63 steps/s, 0 s left",
+    ]

@@ -185,3 +185,28 @@ def test_steps_have_short_ticks(batch, unit, label):
     assert above.get_xlim() == pytest.approx((0, 100 * batch / unit))
     assert above.get_xlabel().endswith(label)
     assert all(len(tick.get_text()) <= 4 for tick in above.get_xticklabels())
+
+
+FAMILY = (
+    "uniform", "pec", "forgetting", "failure_ema", "learnability", "pass_at_n", "table_top", "thompson",
+    "learning_progress", "dro", "plr", "sfl", "floor", "mixture", "per_step",
+)  # fmt: skip
+
+
+def test_a_study_of_the_whole_family_is_legible(tmp_path):
+    """Every sampler has a style of its own, in the order it was named, and no legend covers a curve."""
+    settings = study_settings((0.2,), (0, 1), samplers=FAMILY)
+    write_study(tmp_path / "study", settings, lambda run, progress: progress)
+    tables = read_study(tmp_path / "study")
+    runs = study_report.by_run(tables)
+    assert [name.partition(",")[0] for name in dict.fromkeys(runs.condition)] == [*FAMILY]
+    curves = study_curves.goal_ratio(tables)
+    lines = curves.axes[1].get_lines()
+    assert len({(line.get_color(), line.get_marker()) for line in lines}) == len(lines) == len(FAMILY)
+    for figure in (curves, study_curves.evaluation(tables.results), study_curves.exits(tables.metrics, runs)):
+        figure.draw_without_rendering()
+        (legend,) = figure.legends
+        assert len(legend.get_texts()) == len(FAMILY)
+        covered = legend.get_window_extent()
+        assert not any(covered.overlaps(axes.get_window_extent()) for axes in figure.axes)
+        assert covered.x0 >= 0 and covered.x1 <= figure.bbox.x1

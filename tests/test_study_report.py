@@ -1,6 +1,7 @@
 """Reports of studies that nobody trained: what belongs to one condition, whatever its α and its place."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -10,10 +11,12 @@ from study_of_0_1 import as_version_0_1
 from synthetic import study_settings, write_study
 
 import pecjax
-from pecjax.plotting import study as study_figures
+from pecjax.envs.task import EvalSet
+from pecjax.plotting import study as study_figures, study_curves
 from pecjax.studies import report as study_report
 from pecjax.studies.collect import Collected
 from pecjax.studies.directory import StudyDirectory
+from pecjax.studies.grid import shown_space, space_name
 from pecjax.studies.run import run_study
 from pecjax.studies.tables import read_study
 from pecjax.training.evaluation import EvalResult
@@ -138,7 +141,7 @@ def test_the_worst_tenth_of_an_evaluation_is_of_what_it_flew():
     # 20 episodes for 200 configurations: the 20 that are flown have their worst two.
     flights = EvalResult(np.arange(20) * 7, reached, 1.0 * reached, np.ones(20), {}, None)
     collected = Collected([{"seed": 4}])
-    collected.rows("evaluation", [evaluation_row(1, 100, flights, num_configs=200)])
+    collected.rows("evaluation", [evaluation_row(1, 100, flights, EvalSet(np.zeros(200)))])
     (row,) = collected.table("evaluation")
     assert row["cvar"] == np.sort(reached)[:2].mean() == 0
     assert row["goal_ratio"] == reached.mean() and row["seed"] == 4
@@ -172,3 +175,53 @@ def test_a_study_of_version_0_1_is_reported_and_drawn_alike_but_not_gone_on_with
         run_study(StudyDirectory(folder).settings(), folder)
     assert "\n" not in str(error.value) and "give another folder with --out" in str(error.value)
     assert not (folder / "task-0").exists()
+
+
+def test_groups_of_a_held_out_part_are_reported_paired_and_drawn(tmp_path, monkeypatch):
+    """Easy ones go half as well as all, hard ones under PEC a tenth better than under uniform sampling."""
+    settings = study_settings(seeds=(0, 1, 2))
+    write_study(tmp_path / "study", settings, lambda run, progress: 0.2 * progress + 0.1 * run.seed)
+    tables = read_study(tmp_path / "study")
+    ratios, is_pec = tables.results.goal_ratio, tables.results.sampler == "pec"
+    results = tables.results.assign(
+        **{"goal_ratio.easy": ratios / 2, "goal_ratio.hard": ratios + 0.1 * is_pec}
+    )
+    known = tables.configurations.assign(goal_ratio=np.nan)  # held out: none of those trained in was flown
+    tables = tables._replace(results=results, configurations=known)
+    monkeypatch.setattr(study_report, "read_study", lambda folder: tables)
+    study_report.write_report(tmp_path / "study")
+    summary = pd.read_csv(tmp_path / "study/summary.csv").set_index("condition")
+    np.testing.assert_allclose(summary["goal_ratio.easy"], summary.goal_ratio / 2)
+    table = pd.read_csv(tmp_path / "study/paired.csv").set_index("measure")
+    np.testing.assert_allclose(table.difference[["goal_ratio", "goal_ratio.easy"]], 0, atol=1e-12)
+    hard = table.loc["goal_ratio.hard"]
+    np.testing.assert_allclose(
+        hard[["difference", "difference_low", "better", "pairs"]].astype(float), [0.1, 0.1, 3, 3]
+    )
+    figures = {}
+    monkeypatch.setattr(study_figures, "read_study", lambda folder: tables)
+    monkeypatch.setattr(
+        study_figures, "save", lambda figure, path: figures.update({path.name: figure}) or [path]
+    )
+    study_figures.draw_study(tmp_path / "study")
+    assert "map" not in figures and [axes.get_title() for axes in figures["groups"].axes] == ["easy", "hard"]
+    for axes, name in zip(figures["groups"].axes, ("easy", "hard"), strict=True):
+        for line, sampler in zip(axes.lines, ("pec", "uniform"), strict=True):
+            by_iteration = results[results.sampler == sampler].groupby("iteration")
+            np.testing.assert_allclose(line.get_ydata(), by_iteration[f"goal_ratio.{name}"].mean())
+    figure = study_curves.groups(results.assign(other=ratios), ["goal_ratio.easy"] * 4 + ["other"])
+    assert len(figure.axes) == 5
+
+
+@pytest.mark.parametrize(
+    ("task", "name", "shown"),
+    [
+        ({"table": "2"}, "2", "set 2"),
+        ({"table": "far/pairs.csv"}, "far/pairs.csv", "pairs"),
+        ({"space": "rooms-storm"}, "rooms-storm", "rooms-storm"),
+    ],
+)
+def test_a_study_names_the_space_of_its_runs(task, name, shown):
+    run = study_settings().run
+    assert space_name(replace(run, task=replace(run.task, **task))) == name
+    assert shown_space(name) == shown

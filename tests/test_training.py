@@ -22,9 +22,9 @@ from pecjax.training.checkpoint import Checkpoints
 from pecjax.training.evaluation import success_by_config
 from pecjax.training.load import open_run
 from pecjax.training.loop import Position
+from pecjax.training.measures import cvar
 from pecjax.training.presets import PRESETS
 from pecjax.training.program import compile_evaluator
-from pecjax.training.rows import cvar
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.run_tables import configuration_table, trajectory_table
 from pecjax.training.settings import StopSettings, override
@@ -98,7 +98,7 @@ def test_every_file_of_the_run_directory_is_there_with_its_columns(run, tables):
     tables_and_summary = {"metrics.csv", "evaluation.csv", "summary.json"}
     assert there == {"config.json", "scene.xml", "coordinates.csv"} | tables_and_summary | folders
     head = ["iteration", "env_steps", "seconds", "goal_ratio", "episodes", "mean_return", "mean_length"]
-    of_task = ["collision", "timeout", "unstable"]
+    of_task = ["collision", "path_length", "timeout", "unstable"]
     learners = ["entropy", "kl", "kl_coeff", "policy_loss", "value_loss"]
     assert list(tables["metrics"].columns) == head + of_task + learners
     columns = ["iteration", "config", "trials", "failures", "probability"]
@@ -118,7 +118,7 @@ def test_arrays_of_all_configurations_and_episodes(run):
             ("trials", "failures", "probability"), (20,)
         )
     assert directory.iterations("episodes") == [2, 4, 5]
-    of_task = {"collision", "timeout", "unstable"}
+    of_task = {"collision", "path_length", "timeout", "unstable"}
     for iteration in (2, 4, 5):
         arrays = directory.arrays("episodes", iteration)
         flown = {"config_id", "success", "return", "length"} | of_task
@@ -166,7 +166,7 @@ def test_figures_of_an_evaluation_are_those_of_its_episodes(run, tables):
             ("goal_ratio", "success"),
             ("mean_return", "return"),
             ("mean_length", "length"),
-            *((name, name) for name in ("collision", "timeout", "unstable")),
+            *((name, name) for name in ("collision", "path_length", "timeout", "unstable")),
         ):
             np.testing.assert_allclose(getattr(row, column), episodes[name].mean(), rtol=1e-6)
         by_config = pd.Series(episodes["success"]).groupby(episodes["config_id"]).mean()

@@ -22,12 +22,14 @@ class Running(NamedTuple):
         episode_return: (B,), rewards so far.
         length: (B,) int32, actions so far.
         metrics: (B,) each, the task's metrics so far, without those of which only the last counts.
+        score: (B,), the sum of the learner's scores of its steps before this batch.
     """
 
     config_id: jax.Array
     episode_return: jax.Array
     length: jax.Array
     metrics: dict[str, jax.Array]
+    score: jax.Array
 
 
 class Episodes(NamedTuple):
@@ -46,7 +48,7 @@ def start_episodes(config_id: jax.Array, metrics: Mapping[str, Reduction]) -> Ru
     """Episodes that have just been reset with these configurations (B,)."""
     nothing = jnp.zeros(config_id.shape)
     running = {name: nothing + _START[how] for name, how in metrics.items() if how != "last"}
-    return Running(config_id, nothing, nothing.astype(jnp.int32), running)
+    return Running(config_id, nothing, nothing.astype(jnp.int32), running, nothing)
 
 
 def step_episodes(
@@ -67,7 +69,28 @@ def step_episodes(
     episode_return = running.episode_return + transition.reward
     done = transition.terminated | transition.truncated
     outcomes = Outcomes(running.config_id, done, done & ~transition.success, length, episode_return)
-    return Running(running.config_id, episode_return, length, kept), Episodes(outcomes, reported)
+    running = Running(running.config_id, episode_return, length, kept, running.score)
+    return running, Episodes(outcomes, reported)
+
+
+def sum_over_episodes(before: jax.Array, scores: jax.Array, done: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Sums of what a learner gives each step, over the episode that the step is of.
+
+    Args:
+        before: (B,), of the running episodes' steps before this batch.
+        scores, done: (T, B), of its steps, and whether they end an episode.
+
+    Returns:
+        (T, B), up to each step, itself with it; (B,), of the episodes that run on.
+    """
+
+    def step(total: jax.Array, row: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        score, ends = row
+        total = total + score
+        return jnp.where(ends, 0.0, total), total
+
+    left, sums = jax.lax.scan(step, before, (scores, done.astype(bool)))
+    return sums, left
 
 
 def reset_where(done: jax.Array, fresh: Any, old: Any) -> Any:

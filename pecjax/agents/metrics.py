@@ -20,6 +20,7 @@ class Metrics(NamedTuple):
         sums: by name, sums over the episodes that ended: `return`, `length` and the task's metrics.
         finite: by name, whether each of the losses, the parameters and the observations are finite.
         losses: the learner's own figures by name.
+        sampler: how the next draws are spread, by name (see `curriculum.diagnose`).
     """
 
     episodes: jax.Array
@@ -27,6 +28,7 @@ class Metrics(NamedTuple):
     sums: dict[str, jax.Array]
     finite: dict[str, jax.Array]
     losses: dict[str, jax.Array]
+    sampler: dict[str, jax.Array]
 
     @property
     def non_finite(self) -> list[str]:
@@ -51,12 +53,14 @@ def summarize(
     episodes: Episodes,
     finite: dict[str, jax.Array],
     losses: dict[str, jax.Array],
+    sampler: dict[str, jax.Array],
     axis_name: str | None,
     reported: jax.Array | bool = True,
 ) -> Metrics:
     """Sums an iteration's endings over its steps, environments and devices.
 
     Args:
+        finite, losses, sampler: as `Metrics` has them.
         reported: (B,) bool, the environments that the goal ratio is taken over.
     """
     outcomes = episodes.outcomes
@@ -68,4 +72,4 @@ def summarize(
     number = jnp.sum(done)
     if axis_name is not None:
         number, trials, sums = jax.lax.psum((number, trials, sums), axis_name)
-    return Metrics(number, trials, sums, finite, losses)
+    return Metrics(number, trials, sums, finite, losses, sampler)

@@ -31,9 +31,8 @@ class Check:
         made, world = task.make()
         for line in task.notices(made, world):
             print(f"pecjax: notice: {line}", file=sys.stderr)
-        stem = self.out.with_suffix("") if self.out.suffix in (".png", ".svg") else self.out
         scenes, table = task.scenes(), task.configurations()
-        paths = draw_map(scenes[0], table, stem)
+        paths = draw_map(scenes[0], table, self.out)
         walls = len(scenes[0].map.names)
         maps = f"{walls} walls" if len(scenes) == 1 else f"{len(scenes)} maps, the first of {walls} walls"
         print(

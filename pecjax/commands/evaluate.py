@@ -12,10 +12,17 @@ import jax
 import numpy as np
 import tyro
 
-from pecjax.commands.options import Option
+from pecjax.commands.drawing import draw_evaluation
+from pecjax.commands.options import Option, Strings
 from pecjax.envs.rooms.config import Configurations
+from pecjax.envs.rooms.settings import Rooms
+from pecjax.envs.rooms.spaces.elsewhere import evaluated_rooms
+from pecjax.envs.rooms.spaces.features import features
+from pecjax.envs.task import num_configs
+from pecjax.errors import InputError
+from pecjax.training.eval_report import Report, make_report
 from pecjax.training.evaluation import success_by_config
-from pecjax.training.load import open_run
+from pecjax.training.load import Trained, open_run
 from pecjax.training.program import compile_evaluator
 from pecjax.training.settings import EvaluationSettings, check_settings
 
@@ -24,10 +31,11 @@ MOST_LINES = 60  # of configurations
 
 @dataclass(frozen=True)
 class Eval:
-    """Evaluates a checkpoint on a uniform draw of the run's configurations.
+    """Evaluates a checkpoint on a uniform draw of configurations: the run's own, or others.
 
-    The evaluations in the run's own tables are of another seed and number (2022, and 200 in most presets):
-    they differ by chance, unless these are given here with --seed and --episodes.
+    A run that was trained in a space is evaluated in the part of it that was held out. The evaluations in
+    the run's own tables are of another seed and number (2022, and 200 in most presets): they differ by
+    chance, unless these are given here with --seed and --episodes.
 
     Attributes:
         folder: the run's folder.
@@ -35,7 +43,12 @@ class Eval:
         episodes: how many, spread evenly over the configurations.
         sampled: draws actions from the policy; else the most likely one is taken.
         seed: of headings and drawn actions.
+        space: a named space, or the file of one. (default: the run's own)
+        split: train or held-out, of a space. (default: held-out)
+        coordinates: the paper's set 1 or 2, or a file of configurations. (default: the run's own)
+        scene: maps with their drone in MJCF, files or folders. (default: the run's own)
         json: prints one JSON object.
+        out: where a figure of the report goes, as .png and .svg. (default: none is drawn)
     """
 
     folder: tyro.conf.Positional[Path]
@@ -43,41 +56,96 @@ class Eval:
     episodes: int = 50
     sampled: bool = False
     seed: int = 1
+    space: Option[str] = None
+    split: Option[str] = None
+    coordinates: Option[str] = None
+    scene: Strings = None
     json: bool = False
+    out: Option[Path] = None
 
     def run(self) -> None:
         """Runs the episodes and reports."""
-        trained = open_run(self.folder, self.checkpoint)
+        trained = self._there(open_run(self.folder, self.checkpoint))
         about = EvaluationSettings(episodes=self.episodes, seed=self.seed, greedy=not self.sampled)
         settings = dataclasses.replace(trained.settings, evaluation=about)
         check_settings(settings)
-        run = trained.run
-        result = compile_evaluator(run, settings, trained.learner)(trained.learner, run.world)
-        ratios = success_by_config(result.config_id, result.success, run.num_configs)
-        report = {
-            "goal_ratio": float(result.success.mean()),
-            "mean_return": float(result.returns.mean()),
-            "episodes": self.episodes,
-            "per_configuration": [None if np.isnan(r) else float(r) for r in ratios],
-            "greedy": about.greedy,
-            "seed": self.seed,
-            "checkpoint": trained.iteration,
-        }
+        run, where = trained.run, trained.run.eval_set
+        result = compile_evaluator(run, settings, trained.learner)(trained.learner, run.eval_world)
+        ratios = success_by_config(result.config_id, result.success, num_configs(where.table))
+        is_rooms = isinstance(where.table, Configurations)
+        report = make_report(result, where, features(where.table, where.shortest) if is_rooms else {})
+        if self.out is not None:
+            draw_evaluation(report, self.out)
         if self.json:
-            print(json.dumps(report))
+            whole = {
+                "goal_ratio": float(result.success.mean()),
+                "mean_return": float(result.returns.mean()),
+                "episodes": self.episodes,
+                "per_configuration": [None if np.isnan(r) else float(r) for r in ratios],
+                "greedy": about.greedy,
+                "seed": self.seed,
+                "checkpoint": trained.iteration,
+                "report": report,
+            }
+            print(json.dumps(whole))
             return
         print(
-            f"checkpoint {trained.iteration}: goal ratio {report['goal_ratio']:.4f}, mean return "
-            f"{report['mean_return']:.1f} over {self.episodes} "
+            f"checkpoint {trained.iteration}: goal ratio {report['all']['goal_ratio']:.4f}, mean return "
+            f"{report['all']['mean_return']:.1f} over {self.episodes} "
             f"{'greedy' if about.greedy else 'sampled'} episodes of a uniform draw"
         )
-        order = np.arange(run.num_configs)
-        if len(order) > MOST_LINES:
-            order = np.argsort(ratios)[:MOST_LINES]  # what was not flown comes last
-            print(f"the {MOST_LINES} lowest of {run.num_configs} configurations:")
-        for config in order.tolist():
-            line = f"  c{config:<3} {describe(run.world.table, config)}"
-            print(f"{line:34} {'not flown' if np.isnan(ratios[config]) else f'{ratios[config]:.3f}'}")
+        period = run.task.settings.control_period if is_rooms else None
+        _print_report(report, period)
+        _print_configurations(where.table, ratios)
+
+    def _there(self, trained: Trained) -> Trained:
+        """The policy in the configurations that are asked for."""
+        task, asked = trained.settings.task, (self.space, self.split, self.coordinates, self.scene)
+        if isinstance(task, Rooms):
+            return trained.elsewhere(*evaluated_rooms(task, trained.run.world, *asked))
+        if any(asked):
+            raise InputError("the run is of a task without spaces or maps; leave out what it is evaluated in")
+        return trained
+
+
+def _print_report(report: Report, period: float | None) -> None:
+    """A line for all episodes, each group and each bin."""
+    heads = f"{'episodes':>8} {'goal ratio':>8} [95 %]         {'SPL':>6} {'CVaR':>6} {'time':>7}"
+    print(f"  {'':32} {heads} {'hit':>6} {'late':>6}")
+    _print_line("all", report["all"], period)
+    for name, figures in report["groups"].items():
+        _print_line(name, figures, period)
+    for name, bins in report["features"].items():
+        for part in bins:
+            _print_line(f"{name} {part['low']:.3g} to {part['high']:.3g}", part, period)
+
+
+def _print_line(name: str, figures: dict[str, Any], period: float | None) -> None:
+    if not figures["episodes"]:
+        print(f"  {name:32} {0:8}")
+        return
+    low, high = figures["interval"]
+    steps = figures["steps_to_goal"]
+    time = "" if steps is None else f"{steps * period:.1f} s" if period else f"{steps:.0f}"
+
+    def number(key: str) -> str:
+        return "" if figures.get(key) is None else f"{figures[key]:.3f}"
+
+    print(
+        f"  {name:32} {figures['episodes']:8} {figures['goal_ratio']:8.3f} [{low:.3f}, {high:.3f}] "
+        f"{number('spl'):>6} {number('cvar'):>6} {time:>7} {number('collision'):>6} {number('timeout'):>6}"
+    )
+
+
+def _print_configurations(table: Any, ratios: np.ndarray) -> None:
+    """A line for each configuration, or for the lowest."""
+    order = np.arange(len(ratios))
+    if len(order) > MOST_LINES:
+        order = np.argsort(ratios)[:MOST_LINES]  # what was not flown comes last
+        print(f"the {MOST_LINES} lowest of {len(ratios)} configurations:")
+    for config in order.tolist():
+        line = f"  c{config:<3} {describe(table, config)}"
+        print(f"{line:34} {'not flown' if np.isnan(ratios[config]) else f'{ratios[config]:.3f}'}")
 
 
 def describe(table: Any, row: int) -> str:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import io
+import itertools
 import re
 import sys
 from collections.abc import Sequence
@@ -12,7 +14,10 @@ from typing import Any, get_type_hints
 
 from pecjax import settings_tree
 from pecjax.commands.options import read
-from pecjax.training.settings import RunSettings
+from pecjax.errors import InputError
+from pecjax.training.kinds import KINDS, make_kind
+from pecjax.training.presets import find_preset
+from pecjax.training.settings import RunSettings, override
 
 # What has an option of its own in every command, or follows from one.
 _ELSEWHERE = {"preset", "seed"}
@@ -43,12 +48,57 @@ def apply(settings: RunSettings, words: Sequence[str], command: type) -> RunSett
     Raises:
         InputError: no such setting, or a value that it does not take.
     """
+    settings, words = _choose_kinds(settings, words)
     if not words:
         return settings
     tree = _tree(settings, command)
     words = ["None" if word == "none" else word for word in words]
     found = read(type(tree), words, default=tree)
     return dataclasses.replace(settings, **vars(found))
+
+
+def _choose_kinds(settings: RunSettings, words: Sequence[str]) -> tuple[RunSettings, list[str]]:
+    """Puts a kind at every path that has one, such as `--sampler.sampler uniform`; what else is said remains.
+
+    Raises:
+        InputError: no name follows, or there is no kind of it.
+    """
+    rest, left = [], iter(words)
+    for word in left:
+        option, equals, value = word.partition("=")
+        path = option.removeprefix("--").replace("-", "_")
+        slot = _slot_at(settings, path) if option.startswith("--") and "." in path else None
+        if slot is None:
+            rest.append(word)
+            continue
+        name = value if equals else next(left, "--")
+        if name.startswith("--"):
+            raise InputError(f"{option} has no value; give the name of a {slot}")
+        *outer, last = path.split(".")
+        holder = functools.reduce(getattr, outer, settings)
+        chosen = make_kind(slot, name, getattr(holder, last))
+        settings = settings_tree.replace_at(settings, path, chosen)
+    return settings, rest
+
+
+def _slot_at(settings: RunSettings, path: str) -> str | None:
+    """The slot (see `kinds.KINDS`) of what a path leads to, if it leads to a kind."""
+    value: Any = settings
+    for name in path.split("."):
+        value = getattr(value, name, None) if dataclasses.is_dataclass(value) else None
+    return next((slot for slot, (base, _) in KINDS.items() if isinstance(value, base)), None)
+
+
+def shown_by_help(words: Sequence[str]) -> RunSettings:
+    """The settings that help is asked for: with the preset and the kinds that the words name."""
+    parts = [part for word in words for part in word.split("=", 1)]
+    given = {name.removeprefix("--"): value for name, value in itertools.pairwise(parts)}
+    try:
+        base = find_preset(given.get("preset"), given.get("agent"))
+        base = override(base, task=given.get("task"), sampler=given.get("sampler"), agent=given.get("agent"))
+        return _choose_kinds(base, [word for word in words if word not in ("--help", "-h")])[0]
+    except InputError:
+        return find_preset()
 
 
 def print_help(settings: RunSettings, command: type) -> None:

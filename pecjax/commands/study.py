@@ -17,7 +17,7 @@ from pecjax.commands import settings_args
 from pecjax.commands.drawing import draw
 from pecjax.commands.options import Floats, Option, Rest, Strings
 from pecjax.errors import DivergedError, InputError
-from pecjax.studies.catalogue import find_study
+from pecjax.studies.catalogue import OWN, find_study
 from pecjax.studies.directory import StudyDirectory
 from pecjax.studies.grid import StudySettings, read_grid
 from pecjax.studies.run import run_study
@@ -41,9 +41,9 @@ class Study:
         scale: of a named study: smoke (seconds, to try it), laptop (our presets, for two cores) or
             paper (its iteration counts and RLlib's settings). (default: laptop)
         preset: the settings all runs share. (default: the study's; for a grid of your own, fast)
-        samplers: pec, uniform, or some of your own as my.module:Class. (default: the study's, or pec
-            and uniform)
-        alphas: each is tried with pec. (default: the study's, or 0.2)
+        samplers: pec, uniform, table_top or others of docs/samplers.md, or your own as my.module:Class.
+            (default: the study's, or pec and uniform)
+        alphas: each is tried with the samplers that have one. (default: the study's, or 0.2)
         coordinates: the paper's sets 1 and 2, or files. (default: the study's, or 1)
         seeds: numbers, or ranges such as 0-9. (default: the study's, or 0-4)
         iterations: of each run. (default: the study's, or the preset's where one is given)
@@ -51,8 +51,8 @@ class Study:
         task: what is learned: rooms, or one of your own as my.module:Class. (default: rooms)
         scene: maps with their drone in MJCF, files or folders. (default: the paper's six rooms)
         parallel_runs: runs in one program. (default: as many as there are devices)
-        grid: another setting to vary, and its values: agent.learning_rate 1e-4 3e-4, or sampler.floor 0 0.1;
-            may be given several times.
+        grid: another setting to vary, and its values: agent.learning_rate 1e-4 3e-4, or sampler.half_life 3
+            10; may be given several times.
         out: the study's folder. (default: studies/NAME-SCALE, or studies/own)
         settings: options by their dotted paths (see `settings_args`).
     """
@@ -75,7 +75,7 @@ class Study:
 
     def run(self) -> None:
         """Trains, summarizes and draws."""
-        default = f"{self.name}-{self.scale or 'laptop'}" if self.name else "own"
+        default = f"{self.name}-{self.scale or 'laptop'}" if self.name else OWN
         folder = self.out or Path("studies") / default
         trial = f"{folder}: a smoke study tries the program out; its runs are too short to learn anything"
         notice = trial if self.scale == "smoke" else None
@@ -148,7 +148,7 @@ class Study:
         if self.name is None:
             if self.scale is not None:
                 raise InputError("scale is of the paper's studies; name one, such as fig4, or leave it out")
-            return StudySettings("own", preset or PRESETS["fast"], OWN_GRID)
+            return StudySettings(OWN, preset or PRESETS["fast"], OWN_GRID)
         study = find_study(self.name, self.scale or "laptop")
         agents = [kind_name(run.agent) for run in (preset or study.run, study.run)]
         if len(set(agents)) > 1:

@@ -13,6 +13,7 @@ from pecjax.commands.options import Option, Rest, Strings
 from pecjax.errors import InputError
 from pecjax.runtime import distributed as processes
 from pecjax.training import train as training
+from pecjax.training.kinds import kind_name
 from pecjax.training.presets import find_preset
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.settings import override
@@ -27,8 +28,8 @@ class Train:
             ppo, apex-fast or apex-rllib085 for apex. (default: fast or apex-fast)
         agent: the learner: ppo, apex, or one of your own as my.module:Class. (default: the preset's)
         task: what is learned: rooms, or one of your own as my.module:Class. (default: rooms)
-        sampler: how the next configuration is chosen: pec, uniform, or one of your own as
-            my.module:Class. (default: the preset's)
+        sampler: how the next configuration is chosen: pec, uniform, table_top or another of
+            docs/samplers.md, or one of your own as my.module:Class. (default: the preset's)
         alpha: α of PEC, 0 or more; the larger, the nearer to uniform. (default: 0.2)
         coordinates: the paper's set 1 or 2, or a file of configurations; --task.table. (default: 1)
         scene: maps with their drone in MJCF, files or folders; --task.maps. (default: the paper's six
@@ -98,7 +99,7 @@ class Train:
             greedy=False if self.sampled_evaluation else None,
         )
         settings = settings_args.apply(settings, self.settings, Train)
-        name = type(settings.sampler).__name__.lower()
+        name = kind_name(settings.sampler).rpartition(":")[2].lower()
         folder = self.out or Path("runs") / time.strftime(f"{name}-%Y%m%d-%H%M%S")
         go = training.resume if self.resume else training.train
         summary = go(settings, folder, self.devices)

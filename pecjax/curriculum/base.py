@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -83,15 +83,56 @@ def count_outcomes(outcomes: Outcomes, num_configs: int, axis_name: str | None =
         InputError: arrays that do not broadcast, ids that are no integers, or, among what is done
             and has values to look at, an id outside [0, N), or a `failed` other than 0 and 1.
     """
-    config_id, done, failed = _broadcast(outcomes)
-    _check_values(config_id, done, failed, num_configs)
-    config_id, done, failed = (jnp.ravel(jnp.asarray(part)) for part in (config_id, done, failed))
+    config_id, done, failed = (jnp.ravel(jnp.asarray(part)) for part in check_outcomes(outcomes, num_configs))
     done = done.astype(bool)
     counts = jnp.stack([
         jax.ops.segment_sum(flags.astype(jnp.int32), config_id, num_segments=num_configs)
         for flags in (done, done & failed.astype(bool))
     ])  # fmt: skip
     return counts if axis_name is None else jax.lax.psum(counts, axis_name)
+
+
+def by_config(
+    outcomes: Outcomes,
+    name: str,
+    num_configs: int,
+    reduction: Literal["sum", "max"] = "sum",
+    axis_name: str | None = None,
+) -> jax.Array:
+    """A further field of the outcomes, (N,) float32: reduced over each configuration's episodes that ended.
+
+    Where none ended the sum is 0 and the maximum -inf.
+
+    Raises:
+        InputError: the outcomes lack it, or it does not broadcast against their `done`.
+    """
+    values = getattr(outcomes, name)
+    if values is None:
+        raise InputError(f"outcomes: {name} is None; the sampler needs it of every episode, and PPO gives it")
+    ended = jnp.asarray(outcomes.done).astype(bool)
+    try:
+        shape = np.broadcast_shapes(*map(np.shape, (outcomes.config_id, ended, values)))
+    except ValueError as error:
+        raise InputError(f"outcomes: {name} {np.shape(values)} does not broadcast against done") from error
+    reduce, nothing, over_devices = {
+        "sum": (jax.ops.segment_sum, 0.0, jax.lax.psum),
+        "max": (jax.ops.segment_max, -jnp.inf, jax.lax.pmax),
+    }[reduction]
+    counted = jnp.where(ended, jnp.asarray(values, jnp.float32), nothing)
+    ids = jnp.broadcast_to(jnp.asarray(outcomes.config_id), shape)
+    reduced = reduce(jnp.broadcast_to(jnp.asarray(counted), shape).ravel(), ids.ravel(), num_configs)
+    return reduced if axis_name is None else over_devices(reduced, axis_name)
+
+
+def check_outcomes(outcomes: Outcomes, num_configs: int) -> list[Any]:
+    """The ids, `done` and `failed` of outcomes in one shape.
+
+    Raises:
+        InputError: as `count_outcomes` does.
+    """
+    config_id, done, failed = _broadcast(outcomes)
+    _check_values(config_id, done, failed, num_configs)
+    return [config_id, done, failed]
 
 
 def _broadcast(outcomes: Outcomes) -> list[Any]:

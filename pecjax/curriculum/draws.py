@@ -40,10 +40,14 @@ def sample_ids(probabilities: jax.Array, key: jax.Array, shape: int | Sequence[i
     ids = jax.random.choice(key, mass.shape[0], shape, p=mass).astype(jnp.int32)
     # (1 - u) of [0, 1) is above 0, as `jax.random.choice` has it: what has no mass is never reached.
     uniforms = 1 - jax.random.uniform(key_below, (len(levels), *shape))
+    running_sum = jnp.triu(
+        jnp.ones((BRANCHES, BRANCHES))
+    )  # as a product: `jnp.cumsum` takes ten times as long
+    places = jnp.arange(BRANCHES, dtype=jnp.int32)
     for level, uniform in zip(reversed(levels), uniforms, strict=True):
-        # A running sum, which is several times slower by `jnp.cumsum`.
-        running = jnp.matmul(level, jnp.triu(jnp.ones((BRANCHES, BRANCHES))), precision="highest")
-        running = jnp.where(level > 0, running, 0.0)
-        place = jnp.argmax(running[ids] >= (uniform * running.max(axis=1)[ids])[..., None], axis=-1)
-        ids = ids * BRANCHES + place.astype(jnp.int32)
+        block = level[ids]
+        running = jnp.matmul(block, running_sum, precision="highest")
+        running = jnp.where(block > 0, running, 0.0)
+        is_past = running >= (uniform * running.max(axis=-1))[..., None]
+        ids = ids * BRANCHES + jnp.where(is_past, places, BRANCHES).min(axis=-1)
     return ids

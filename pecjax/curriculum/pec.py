@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from pecjax.curriculum.base import Sampler, SamplerSettings
 from pecjax.curriculum.counts import from_counts
-from pecjax.errors import InputError
+from pecjax.curriculum.numbers import check_number
 
 MAX_ALPHA = 1e6  # where float32 no longer tells it from uniform sampling
 
@@ -51,10 +50,7 @@ def pec(num_configs: int, alpha: float | jax.Array = 0.2) -> Sampler:
     Raises:
         InputError: fewer than one configuration, or α out of its range or NaN.
     """
-    if np.ndim(alpha):
-        raise InputError(f"alpha has shape {np.shape(alpha)}; give one number, and vmap over several")
-    if not isinstance(alpha, jax.core.Tracer) and not 0 <= alpha <= MAX_ALPHA:
-        raise InputError(f"alpha is {alpha}; it must be a number from 0 to {MAX_ALPHA:g}")
+    check_number("alpha", alpha, 0, MAX_ALPHA)
 
     def priority(trials: jax.Array, failures: jax.Array, numbers: dict[str, jax.Array]) -> jax.Array:
         return jnp.where(trials > 0, failures / jnp.maximum(trials, 1) + numbers["alpha"], 1.0)

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from pecjax.envs.spaces import Box, Discrete
 
@@ -49,6 +50,24 @@ class World(NamedTuple):
     table: Any
 
 
+class EvalSet(NamedTuple):
+    """The configurations that policies are compared in, apart from those they are trained in.
+
+    Attributes:
+        table: a table like the world's, E configurations.
+        groups: names of the groups that are reported apart; with one there is nothing to report apart.
+        group_id: (E,) int, the group of each configuration; None where there is one group.
+        shortest: (E,) m, the length of the shortest path that succeeds; None where it is not known.
+        held_out: whether no training draws from it.
+    """
+
+    table: Any
+    groups: tuple[str, ...] = ("all",)
+    group_id: np.ndarray | None = None
+    shortest: np.ndarray | None = None
+    held_out: bool = False
+
+
 class Task(abc.ABC):
     """One environment; who uses it batches it by `jax.vmap`.
 
@@ -83,6 +102,14 @@ class Task(abc.ABC):
     def observe(self, key: jax.Array, state: Any, params: Any) -> Any:
         """What the policy is given, scaled for networks: most of it between -1 and 1."""
 
+    def fitted(self, table: Any) -> Any:
+        """A table of other configurations as this task flies it.
+
+        Raises:
+            InputError: it cannot, since a policy of this task would be shown something else.
+        """
+        return table
+
     def position(self, state: Any) -> jax.Array | None:
         """Where it is in the plane, (2,) m, where flights can be drawn on a map; else None."""
         return None
@@ -103,8 +130,12 @@ class TaskSettings(abc.ABC):
             InputError: anything that a user can put right.
         """
 
-    def files(self) -> dict[str, str]:
-        """The files that it reads, as texts by name, to be kept in a run's folder."""
+    def eval_set(self, world: World) -> EvalSet:
+        """What its policies are evaluated in: all of the world's configurations, unless it says otherwise."""
+        return EvalSet(world.table)
+
+    def files(self) -> dict[str, bytes]:
+        """The files that it reads, by name, to be kept in a run's folder."""
         return {}
 
     def kept_in(self, folder: Path) -> TaskSettings:

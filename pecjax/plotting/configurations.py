@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -9,6 +10,7 @@ from matplotlib.figure import Figure
 from pecjax.plotting.style import FAILURES, TRIALS, whole_ticks
 from pecjax.studies.statistics import trial_and_failure_ratios
 
+MOST_BARS = 100  # configurations; more have no room for a bar each
 SNAPSHOTS = 4  # iterations shown side by side, as in the paper's Fig. 5
 
 
@@ -37,6 +39,8 @@ def configurations(table: pd.DataFrame, of: str = "", over: str = "") -> Figure:
 def _trials_and_failures(axes: Axes, rows: pd.DataFrame) -> Axes:
     """Bars of the trial ratio and a line of the failure ratio by configuration.
 
+    Many configurations are in the order of their failure ratios, and neighbours' trial ratios are averaged.
+
     Args:
         rows: columns config, trial and failure, of one iteration.
 
@@ -44,6 +48,16 @@ def _trials_and_failures(axes: Axes, rows: pd.DataFrame) -> Axes:
         the axes of the failure ratio, on the right.
     """
     twin = axes.twinx()
+    if len(rows) > MOST_BARS:
+        rows = rows.sort_values("failure", ascending=False, kind="stable")
+        place = np.arange(len(rows))
+        averaged = rows.trial.rolling(len(rows) // MOST_BARS, center=True, min_periods=1).mean()
+        axes.fill_between(place, averaged, color=TRIALS, linewidth=0)
+        twin.plot(place, rows.failure, color=FAILURES, linewidth=1.2)
+        twin.set_ylim(0, 1)
+        axes.set(xlabel="configurations by failure ratio", xlim=(0, len(rows) - 1), ylim=(0, None))
+        axes.locator_params(axis="x", nbins=3)
+        return twin
     axes.bar(rows.config, rows.trial, color=TRIALS, label="trial ratio")
     style = {
         "markersize": 3,

@@ -16,8 +16,8 @@ from matplotlib.patches import Circle, FancyArrowPatch, Patch, Rectangle
 
 from pecjax.envs.axes import fill
 from pecjax.envs.rooms.config import Configurations
+from pecjax.envs.rooms.rules import NavigationSettings
 from pecjax.envs.rooms.scene import Scene
-from pecjax.envs.rooms.task import NavigationSettings
 from pecjax.plotting.style import FAILURES, GOAL, PATH
 
 Place = tuple[float, float]  # m
@@ -32,6 +32,7 @@ PASSED: dict[str, Any] = {
     "zorder": 0.8,
 }
 MOST_NAMES = 60  # of configurations; more would hide the map
+MOST_WAYS = 200  # beyond which only configurations with a flight are drawn
 COVER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.8", "linewidth": 0.6, "zorder": 0.6}
 
 
@@ -40,13 +41,15 @@ def rooms(
     table: Configurations,
     trajectories: pd.DataFrame | None = None,
     rules: NavigationSettings = NavigationSettings(),
+    map_id: int = 0,
 ) -> Figure:
     """The map with its configurations and, if any, flown trajectories (Fig. 2-3).
 
     Args:
-        scene: the first of the task's maps; configurations in others are left out.
-        trajectories: columns episode, success, x and y, a row a step.
+        scene: one of the task's maps; configurations in others are left out.
+        trajectories: columns episode, config, success, x and y, a row a step.
         rules: of the task.
+        map_id: the map's place among the task's.
     """
     figure = Figure((6.4, 6.4), layout="constrained")
     axes = figure.subplots()
@@ -63,10 +66,13 @@ def rooms(
             f"{int(flights.sum())} of {len(flights)} flights reach their goal (× where one ends otherwise)",
             fontsize=9,
         )
-    for start, goal in _ways(table).values():
+    ways = _ways(table, map_id)
+    if trajectories is not None and len(ways) > MOST_WAYS:
+        ways = {row: ways[row] for row in sorted(set(trajectories.config)) if row in ways}
+    for start, goal in ways.values():
         way = {"linestyle": ":", "linewidth": 0.6, "color": "0.6", "shrinkA": 0, "shrinkB": 3}
         axes.add_patch(FancyArrowPatch(start, goal, arrowstyle="-|>", mutation_scale=7, zorder=1, **way))
-    _places(axes, table, rules)
+    _places(axes, ways, rules)
     entries = _legend(axes, trajectories, rules)
     figure.legend(handles=entries, loc="outside lower center", ncols=3, fontsize=8, columnspacing=1)
     return figure
@@ -99,7 +105,7 @@ def success(
     A pair and its reverse bend apart, each to the right of its way.
 
     Args:
-        scene: as for `rooms`.
+        scene: the first of the task's maps.
         ratios: (N,), of all configurations.
 
     Returns:
@@ -108,7 +114,8 @@ def success(
     colors = LinearSegmentedColormap.from_list("dark", viridis(np.linspace(0, 0.85, 64)))
     shade = ScalarMappable(Normalize(0.5, 1), colors)
     floor_plan(axes, scene, rules)
-    for row, (start, goal) in _ways(table).items():
+    ways = _ways(table)
+    for row, (start, goal) in ways.items():
         ratio = ratios[row]
         arrow = FancyArrowPatch(
             start,
@@ -122,7 +129,7 @@ def success(
             color=shade.to_rgba(ratio),
         )
         axes.add_patch(arrow)
-    _places(axes, table, rules)
+    _places(axes, ways, rules)
     return shade
 
 
@@ -149,9 +156,9 @@ def _wall_style(scene: Scene, height: float, lower: np.ndarray, upper: np.ndarra
     return COVER if covered > 0.5 else PASSED
 
 
-def _ways(table: Configurations) -> dict[int, tuple[Place, Place]]:
-    """Start and goal of each configuration in the first map, by its number."""
-    rows = np.flatnonzero(np.asarray(fill(table).map_id) == 0)
+def _ways(table: Configurations, map_id: int = 0) -> dict[int, tuple[Place, Place]]:
+    """Start and goal of each configuration in one map, by its number."""
+    rows = np.flatnonzero(np.asarray(fill(table).map_id) == map_id)
     starts, goals = (np.asarray(part)[rows].tolist() for part in (table.start, table.goal))
     return {
         row: (tuple(start), tuple(goal))
@@ -159,10 +166,9 @@ def _ways(table: Configurations) -> dict[int, tuple[Place, Place]]:
     }
 
 
-def _places(axes: Axes, table: Configurations, rules: NavigationSettings) -> None:
+def _places(axes: Axes, ways: dict[int, tuple[Place, Place]], rules: NavigationSettings) -> None:
     """Marks every start by a dot with its configurations, and every goal by the circle to be reached."""
     starts: dict[Place, list[int]] = {}
-    ways = _ways(table)
     for row, (start, _) in ways.items():
         starts.setdefault(start, []).append(row)
     for place, rows in starts.items():

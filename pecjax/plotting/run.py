@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pecjax.envs.rooms.settings import Rooms
+from pecjax.envs.task import World
 from pecjax.plotting.configurations import configurations
 from pecjax.plotting.maps import rooms
 from pecjax.plotting.style import (
@@ -53,18 +54,19 @@ def draw_run(folder: Path) -> list[Path]:
     }
     task = run.task()
     if isinstance(task, Rooms):
-        figures["map"] = _first_map(task, trajectory_table(run))
+        figures["map"] = _one_map(task, trajectory_table(run))
     for figure in figures.values():
         figure.suptitle(run_label(settings), fontsize=10)
     return [path for name, figure in figures.items() for path in save(figure, folder / "figures" / name)]
 
 
-def _first_map(task: Rooms, trajectories: pd.DataFrame) -> Figure:
-    """The first of the task's maps, with the configurations and flights in it."""
-    table = task.configurations()
-    inside = np.flatnonzero(np.asarray(table.map_id) == 0)
-    flown = trajectories.loc[trajectories.config.isin(inside)]
-    return rooms(task.scenes()[0], table, flown, task)
+def _one_map(task: Rooms, trajectories: pd.DataFrame) -> Figure:
+    """The first of the task's maps that has a configuration, with what is flown in it."""
+    table = task.eval_set(World(None, task.configurations())).table
+    map_id = np.asarray(table.map_id)
+    shown = int(map_id.min())
+    flown = trajectories.loc[trajectories.config.isin(np.flatnonzero(map_id == shown))]
+    return rooms(task.scene(shown), table, flown, task, shown)
 
 
 def goal_ratio(metrics: pd.DataFrame, evaluation: pd.DataFrame, greedy: bool) -> Figure:

@@ -11,12 +11,13 @@ from matplotlib.figure import Figure
 from pecjax.envs.rooms.settings import Rooms
 from pecjax.envs.task import TaskSettings
 from pecjax.plotting.configurations import configurations
-from pecjax.plotting.study_curves import evaluation, exits, goal_ratio, spread
+from pecjax.plotting.study_curves import evaluation, exits, goal_ratio, groups, spread
 from pecjax.plotting.study_ends import alphas, maps, steps_to_threshold
 from pecjax.plotting.style import save
+from pecjax.studies.catalogue import OWN
 from pecjax.studies.directory import StudyDirectory
-from pecjax.studies.grid import space_name
-from pecjax.studies.report import by_run
+from pecjax.studies.grid import shown_space, space_name
+from pecjax.studies.report import by_run, group_columns
 from pecjax.studies.tables import StudyTables, read_study, varied_columns
 from pecjax.training.kinds import AGENT_LABELS, kind_name
 
@@ -44,8 +45,8 @@ def draw_study(folder: Path) -> list[Path]:
         seeds = tables.results.groupby("condition").seed.nunique()
         number = f"{seeds.max()}" if seeds.min() == seeds.max() else f"{seeds.min()} to {seeds.max()}"
         title = (
-            f"{settings.name}: {AGENT_LABELS.get(agent, agent)}, coordinates {Path(space).stem}, "
-            f"{number} seed{'' if number == '1' else 's'}"
+            f"{'' if settings.name == OWN else f'{settings.name}: '}{AGENT_LABELS.get(agent, agent)}, "
+            f"{shown_space(space)}, {number} seed{'' if number == '1' else 's'}"
         )
         for name, figure in _figures(tables, task):
             figure.suptitle(title, fontsize=10)
@@ -58,10 +59,12 @@ def _figures(tables: StudyTables, task: TaskSettings) -> Iterator[tuple[str, Fig
     runs = by_run(tables)
     yield "goal_ratio", goal_ratio(tables)
     yield "evaluation", evaluation(tables.results)
+    if of_groups := group_columns(tables.results):
+        yield "groups", groups(tables.results, of_groups)
     yield "spread", spread(tables.configurations)
     yield "exit", exits(tables.metrics, runs)
     yield "steps_to_threshold", steps_to_threshold(runs)
-    if isinstance(task, Rooms):
+    if isinstance(task, Rooms) and tables.configurations.goal_ratio.notna().any():  # not held-out ones
         yield "map", maps(tables, task)
     for condition, rows in tables.configurations.groupby("condition", sort=False):
         stem = f"configurations-{condition.replace(', α = ', '-').replace(', ', '-').replace(' = ', '-')}"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,16 +26,25 @@ STYLES = (
     ("#56b4e9", (0, (1, 1)), "P"),
 )
 INTERVALS = "interquartile mean, 95 % interval over seeds"
+FEW = 5  # conditions whose legend has a place within the axes
+
+
+def style_of(number: int) -> tuple[str, Any, str]:
+    """Colour, dashes and mark of the n-th condition; each of 36 has its own."""
+    turn, place = divmod(number, len(STYLES))
+    _, dashes, mark = STYLES[(place + turn) % len(STYLES)]
+    return STYLES[place][0], dashes, mark
 
 
 def _conditions(table: pd.DataFrame) -> Iterator[tuple[Any, pd.DataFrame, tuple]]:
     by_condition = table.groupby("condition", sort=False)
     for number, (condition, rows) in enumerate(by_condition):
-        yield condition, rows, STYLES[number % len(STYLES)]
+        yield condition, rows, style_of(number)
 
 
 def _curves(axes: Axes, table: pd.DataFrame, column: str, label: str, marks: bool = False) -> None:
-    """A line of interquartile means for each condition, and its interval as a band."""
+    """A line of interquartile means for each condition, and its interval as a band, paler where many lie."""
+    alpha = 0.18 * min(1.0, FEW / table.condition.nunique())
     for condition, rows, (color, dashes, mark) in _conditions(table):
         by_iteration = rows.pivot(index="iteration", columns="seed", values=column).dropna()
         found = np.array([interval(row) for row in by_iteration.to_numpy()])
@@ -42,7 +52,7 @@ def _curves(axes: Axes, table: pd.DataFrame, column: str, label: str, marks: boo
             continue
         style = {"marker": mark, "markersize": 3.5} if marks else {}
         axes.plot(by_iteration.index, found[:, 0], color=color, linestyle=dashes, label=condition, **style)
-        axes.fill_between(by_iteration.index, found[:, 1], found[:, 2], color=color, alpha=0.18, linewidth=0)
+        axes.fill_between(by_iteration.index, found[:, 1], found[:, 2], color=color, alpha=alpha, linewidth=0)
     axes.set(xlabel="iteration", ylabel=label)
     whole_ticks(axes)
     axes.grid(alpha=0.3)
@@ -67,7 +77,10 @@ def goal_ratio(tables: StudyTables) -> Figure:
     for axes in (left, right):
         axes.set_ylim(RATIO_LIMITS)
         steps_axis(axes, _batch(tables.metrics))
-    right.legend(title=INTERVALS, fontsize=8, title_fontsize=8, loc="lower right")
+    if tables.results.condition.nunique() > FEW:
+        _legend_below(figure)
+    else:
+        right.legend(title=INTERVALS, fontsize=8, title_fontsize=8, loc="lower right")
     return figure
 
 
@@ -79,10 +92,17 @@ def _side_by_side(table: pd.DataFrame, labels: dict[str, str]) -> Figure:
     figure = Figure((11.4, 4.0), layout="constrained")
     for axes, (column, label) in zip(figure.subplots(1, len(labels)), labels.items(), strict=True):
         _curves(axes, table, column, label, marks=True)
-    lines = figure.axes[0].get_legend_handles_labels()
-    place = {"loc": "outside lower center", "ncols": 5}
-    figure.legend(*lines, title=INTERVALS, fontsize=8, title_fontsize=8, **place)
+    _legend_below(figure)
     return figure
+
+
+def _legend_below(figure: Figure, title: str = INTERVALS) -> None:
+    """A legend that takes its room from below the axes; the figure grows by it."""
+    lines = figure.axes[0].get_legend_handles_labels()
+    columns = int(figure.get_figwidth() // 2.2)
+    figure.set_figheight(figure.get_figheight() + 0.17 * max(0, math.ceil(len(lines[0]) / columns) - 1))
+    place = {"loc": "outside lower center", "ncols": columns}
+    figure.legend(*lines, title=title, fontsize=8, title_fontsize=8, **place)
 
 
 def evaluation(results: pd.DataFrame) -> Figure:
@@ -95,6 +115,24 @@ def evaluation(results: pd.DataFrame) -> Figure:
     figure = _side_by_side(results, labels)
     for axes in figure.axes[:2]:
         axes.set_ylim(RATIO_LIMITS)
+    return figure
+
+
+def groups(results: pd.DataFrame, columns: Sequence[str]) -> Figure:
+    """Goal ratio of each group of the uniform evaluations' configurations."""
+    rows = math.ceil(len(columns) / 3)
+    of_row = math.ceil(len(columns) / rows)
+    figure = Figure((3.8 * of_row, 3.6 * rows + 0.6), layout="constrained")
+    panels = figure.subplots(rows, of_row, sharex=True, sharey=True, squeeze=False).ravel()
+    for axes, column in zip(panels, columns, strict=False):
+        _curves(axes, results, column, "goal ratio", marks=True)
+        axes.set_title(column.partition(".")[2], fontsize=9)
+        axes.set_ylim(RATIO_LIMITS)
+        axes.label_outer()
+        steps_axis(axes, _batch(results))
+    for axes in panels[len(columns) :]:
+        axes.remove()
+    _legend_below(figure)
     return figure
 
 
@@ -127,7 +165,8 @@ def _missing(rows: pd.DataFrame) -> str:
 
 def exits(metrics: pd.DataFrame, runs: pd.DataFrame) -> Figure:
     """Training goal ratio, and where the paper's exit condition would have ended each run (Fig. 14)."""
-    figure = Figure((6.8, 4.0), layout="constrained")
+    many = runs.condition.nunique() > FEW
+    figure = Figure((9.6 if many else 6.8, 4.0), layout="constrained")
     axes = figure.subplots()
     _curves(axes, _smooth(metrics), "goal_ratio", f"training goal ratio (mean of {SMOOTHED_ITERATIONS})")
     batch = _batch(metrics)
@@ -135,7 +174,8 @@ def exits(metrics: pd.DataFrame, runs: pd.DataFrame) -> Figure:
         for at in THRESHOLDS:
             exit_at = rows[f"exit_at_{at:g}"].to_numpy() / batch
             height = np.full(len(rows), at + 0.008 * (place - (runs.condition.nunique() - 1) / 2))
-            label = f"{condition}: exit{_missing(rows)}" if at == THRESHOLDS[0] else None
+            is_named = at == THRESHOLDS[0] and not many  # of many, the colours of their curves say it
+            label = f"{condition}: exit{_missing(rows)}" if is_named else None
             style = {"marker": mark, "facecolor": "white", "edgecolor": color, "label": label}
             axes.scatter(exit_at, height, s=22, zorder=3, **style)
     for at in THRESHOLDS:
@@ -143,5 +183,9 @@ def exits(metrics: pd.DataFrame, runs: pd.DataFrame) -> Figure:
     axes.set_ylim(0, 1.04)
     steps_axis(axes, batch)
     held = "exit: five iterations in a row held 0.90 or 0.95"
-    axes.legend(title=f"{INTERVALS};\n{held}", fontsize=8, title_fontsize=8)
+    title = f"{INTERVALS};\n{held}"
+    if many:
+        _legend_below(figure, title)
+    else:
+        axes.legend(title=title, fontsize=8, title_fontsize=8)
     return figure

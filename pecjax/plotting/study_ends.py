@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import cycle
+from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from pecjax.envs.rooms.settings import Rooms
 from pecjax.plotting.maps import success
-from pecjax.plotting.study_curves import INTERVALS, STYLES
+from pecjax.plotting.study_curves import FEW, INTERVALS, style_of
 from pecjax.plotting.style import RATIO_LIMITS, steps_unit
 from pecjax.studies.report import THRESHOLDS
 from pecjax.studies.statistics import Interval, interval
@@ -25,8 +25,9 @@ def steps_to_threshold(runs: pd.DataFrame) -> Figure:
     Runs that never held it have no number: they lie in a shaded zone above the end of the axis, and
     a bar is drawn only where the median is a number.
     """
-    figure = Figure((8.4, 4.0), layout="constrained")
     names = list(dict.fromkeys(runs.condition))
+    many = len(names) > FEW
+    figure = Figure((max(8.4, 0.9 * len(names)), 4.8 if many else 4.0), layout="constrained")
     steps = runs[[f"steps_to_{at:g}" for at in THRESHOLDS]].to_numpy()
     finite = steps[np.isfinite(steps)]
     unit, of_unit = steps_unit(finite.max(initial=0))
@@ -39,7 +40,8 @@ def steps_to_threshold(runs: pd.DataFrame) -> Figure:
             axes.plot(range(len(names)), row, color="0.7", linewidth=0.8, zorder=1)
         for place, name in enumerate(names):
             _condition(axes, place, np.asarray(table[name].dropna()), zone)
-        axes.set_xticks(range(len(names)), [name.replace(", ", "\n") for name in names], fontsize=8)
+        labels = names if many else [name.replace(", ", "\n") for name in names]
+        axes.set_xticks(range(len(names)), labels, fontsize=8, rotation=90 if many else 0)
         axes.set(xlim=(-0.5, len(names) - 0.5), ylim=(0, top))
         axes.set_title(f"goal ratio {at:g} held by five uniform evaluations", fontsize=9)
         axes.grid(alpha=0.3, axis="y")
@@ -52,7 +54,7 @@ def steps_to_threshold(runs: pd.DataFrame) -> Figure:
 
 def _condition(axes: Axes, place: int, steps: np.ndarray, zone: _Zone | None) -> None:
     """The marks of one condition's runs, and its median if that is a number."""
-    color, _, mark = STYLES[place % len(STYLES)]
+    color, _, mark = style_of(place)
     never, shown = int(np.isinf(steps).sum()), steps
     if zone is not None and never:
         shown = np.where(np.isinf(steps), zone.middle, steps)
@@ -101,7 +103,7 @@ class _Zone(NamedTuple):
 
 def maps(tables: StudyTables, task: Rooms) -> Figure:
     """The first map with the last evaluation's goal ratio of every pair, a panel for each condition."""
-    table, scene = task.configurations(), task.scenes()[0]
+    table, scene = task.configurations(), task.scene(0)
     last = tables.configurations[tables.configurations.iteration == tables.configurations.iteration.max()]
     by_condition = list(last.groupby("condition", sort=False))
     figure = Figure((4.6 * len(by_condition) + 0.8, 5.0), layout="constrained")
@@ -129,7 +131,7 @@ def alphas(runs: pd.DataFrame) -> Figure:
     of_samplers = list(runs.dropna(subset="alpha").groupby("sampler", sort=False))
     for axes, (label, lines) in zip(figure.subplots(1, 2), panels.items(), strict=True):
         curves = [(sampler, rows, name) for sampler, rows in of_samplers for name in lines]
-        for (sampler, rows, name), (color, dashes, mark) in zip(curves, cycle(STYLES), strict=False):
+        for (sampler, rows, name), (color, dashes, mark) in zip(curves, map(style_of, count()), strict=False):
             found = {alpha: interval(x.to_numpy()) for alpha, x in rows.groupby("alpha")[name]}
             of = f"{sampler}, " if len(of_samplers) > 1 else ""
             _error_bars(axes, found, color=color, linestyle=dashes, marker=mark, label=of + lines[name])

@@ -111,8 +111,11 @@ def read_arrays(
     return jax.tree.unflatten(structure, [_placed(arrays[name], leaf) for name, leaf in wanted.items()])
 
 
-def read_plain_arrays(path: Path) -> dict[str, np.ndarray]:
+def read_plain_arrays(path: Path, advice: str = "train again") -> dict[str, np.ndarray]:
     """Reads back what `write_arrays` wrote of a dictionary of arrays, whatever they are.
+
+    Args:
+        advice: what to do about a file that cannot be read.
 
     Raises:
         InputError: there is no such file, or it is corrupt.
@@ -121,7 +124,7 @@ def read_plain_arrays(path: Path) -> dict[str, np.ndarray]:
         with path.open("rb") as opened, zipfile.ZipFile(opened) as file:
             return {_key(name): _read(file, name) for name in _headers(file)}
     except _UNREADABLE as error:
-        raise InputError(f"{path}: cannot be read ({error}); train again") from error
+        raise InputError(f"{path}: cannot be read ({error}); {advice}") from error
 
 
 def _key(place: str) -> str:

@@ -34,6 +34,24 @@ def csv_text(rows: Iterable[Row], header: bool = True) -> str:
     return text.getvalue()
 
 
+def joined_tables(texts: Iterable[str]) -> str:
+    """One table of several, with the columns of all: a row of a table that lacks one has an empty field.
+
+    The columns of the longest come first.
+    """
+    tables = [text.partition("\n") for text in texts]
+    headers = sorted({head for head, _, _ in tables if head}, key=lambda head: (-len(head), head))
+    if len(headers) < 2:
+        return f"{''.join(headers)}\n{''.join(rows for _, _, rows in tables)}"
+    columns = list(dict.fromkeys(name for head in headers for name in head.split(",")))
+    joined = io.StringIO()
+    writer = csv.DictWriter(joined, columns, restval="", lineterminator="\n")
+    writer.writeheader()
+    for head, _, rows in tables:
+        writer.writerows(csv.DictReader(io.StringIO(rows), head.split(",")))
+    return joined.getvalue()
+
+
 def _plain(value: Any) -> Any:
     """Seven digits are all that float32 holds; a missing figure is an empty field."""
     if isinstance(value, float | np.floating):

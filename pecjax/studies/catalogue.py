@@ -13,6 +13,7 @@ from pecjax.studies.grid import StudySettings
 from pecjax.training.presets import PRESETS
 from pecjax.training.settings import EvaluationSettings, RunSettings, StopSettings, override
 
+OWN = "own"  # the name of a study that is not in this catalogue
 SCALES = ("smoke", "laptop", "paper")
 
 _ALPHAS = (0.0, 0.1, 0.2, 0.3, 0.4)

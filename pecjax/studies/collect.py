@@ -20,13 +20,15 @@ class Collected(Sink):
         diverged: by place, those whose figures are no longer finite, in words.
     """
 
-    def __init__(self, heads: Sequence[Row]) -> None:
+    def __init__(self, heads: Sequence[Row], held_out: bool = False) -> None:
         """Begins with nothing.
 
         Args:
             heads: the columns that say which run a row is of.
+            held_out: whether evaluations are of other configurations than those that are trained in, whose
+                goal ratios are then unknown (NaN).
         """
-        self._heads = heads
+        self._heads, self._held_out = heads, held_out
         self.names = [", ".join(f"{k} {v}" for k, v in head.items() if v is not None) for head in heads]
         self.diverged: dict[int, str] = {}
         self._tables: dict[str, list[list[Row]]] = {
@@ -58,8 +60,12 @@ class Collected(Sink):
             self._counted.append((iteration, kept))
         elif name == "episodes":  # of the same iteration
             for of_run, flown in zip(self._counted[-1][1], arrays, strict=True):
-                number = len(of_run["trials"])
-                of_run["goal_ratio"] = success_by_config(flown["config_id"], flown["success"], number)
+                unknown = np.full(len(of_run["trials"]), np.nan)
+                of_run["goal_ratio"] = (
+                    unknown
+                    if self._held_out
+                    else success_by_config(flown["config_id"], flown["success"], unknown.size)
+                )
 
     def table(self, name: str) -> list[Row]:
         """The rows of all runs that have not diverged, run by run."""

@@ -77,10 +77,10 @@ class StudyDirectory:
         """
         self._facts = environment_facts(num_devices)
         content = {"settings": settings_tree.to_json(settings)} | self._facts
-        texts = {
-            f"task-{number}/{name}": text
+        kept = {
+            f"task-{number}/{name}": held
             for number, task in enumerate(tasks)
-            for name, text in task.files().items()
+            for name, held in task.files().items()
         }
         self._check_free()  # before the folder is made, which the lock needs
         with files.writing(self.folder, "choose another --out"):
@@ -88,35 +88,35 @@ class StudyDirectory:
         with files.alone(self.folder):
             self._check_free()  # another study may have started here meanwhile
             if (self.folder / "study.json").is_file():
-                self._compare(json.loads(files.json_text(content)), texts)
+                self._compare(json.loads(files.json_text(content)), kept)
             else:
-                self._create(content, texts)
+                self._create(content, kept)
             yield
 
     def _check_free(self) -> None:
         if not (self.folder / "study.json").is_file() and not self._started.exists():
             files.check_free(self.folder)
 
-    def _create(self, content: dict[str, Any], texts: dict[str, str]) -> None:
+    def _create(self, content: dict[str, Any], kept: dict[str, bytes]) -> None:
         with files.writing(self.folder, "choose another --out"):
             # Begins as another file: a study that is killed meanwhile knows its folder again.
             self._started.write_text(files.json_text(content))
             self._batches.mkdir(exist_ok=True)
-            for name, text in texts.items():
+            for name, held in kept.items():
                 (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
-                (self.folder / name).write_text(text)
+                (self.folder / name).write_bytes(held)
             os.replace(self._started, self.folder / "study.json")
 
-    def _compare(self, content: dict[str, Any], texts: dict[str, str]) -> None:
+    def _compare(self, content: dict[str, Any], kept: dict[str, bytes]) -> None:
         settings = settings_tree.to_json(self.settings())  # as they are written today
         versions = json.loads((self.folder / "study.json").read_text()).get("versions")
         differing = [
             *settings_tree.differences(_by_path(settings), _by_path(content["settings"])),
             *settings_tree.differences(versions, content["versions"]),
         ]
-        for name, text in texts.items():
+        for name, held in kept.items():
             path = self.folder / name
-            if not path.is_file() or path.read_text() != text:
+            if not path.is_file() or path.read_bytes() != held:
                 differing.append(f"the content of {name}")
         if differing:
             raise InputError(
@@ -192,10 +192,8 @@ class StudyDirectory:
     def merge_tables(self, number: int) -> None:
         """Writes the tables anew from those of so many batches that are there, in their order."""
         for name in self.TABLES:
-            texts = [(path / f"{name}.csv").read_text().partition("\n") for path in self._held(number)]
-            header = max((head for head, _, _ in texts), key=len, default="")
-            rows = "".join(rows for _, _, rows in texts)
-            files.replace_file(self.folder / f"{name}.csv", f"{header}\n{rows}")
+            texts = [(path / f"{name}.csv").read_text() for path in self._held(number)]
+            files.replace_file(self.folder / f"{name}.csv", files.joined_tables(texts))
 
     def configurations(self, number: int) -> Iterator[tuple[Path, dict[str, np.ndarray]]]:
         """Of each of so many batches that is there, its folder and what `Collected.configurations` gave."""

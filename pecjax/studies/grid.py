@@ -156,9 +156,14 @@ def _text(value: Any) -> Any:
 
 
 def space_name(settings: RunSettings) -> str:
-    """What tables call the configurations of a run: its task's table, or the task where it has none."""
-    table = getattr(settings.task, "table", None)
-    return kind_name(settings.task) if table is None else str(table)
+    """What tables call the configurations of a run: its space, its task's table, or the task."""
+    named = (getattr(settings.task, name, None) for name in ("space", "table"))
+    return next((str(name) for name in named if name is not None), kind_name(settings.task))
+
+
+def shown_space(name: str) -> str:
+    """The same in words: `set 1`, or a space or a table without folder and ending."""
+    return f"set {name}" if name.isdecimal() else Path(name).stem
 
 
 def numbers(spec: RunSpec) -> dict[str, float]:

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pecjax.storage import files
+from pecjax.studies.grid import shown_space
 from pecjax.studies.statistics import (
     Interval,
     area_under_curve,
@@ -26,6 +27,7 @@ BASELINE = "uniform"  # what others are paired with; the study's first condition
 RATIOS = ("goal_ratio", "cvar", "area_under_curve", "cvar_area_under_curve")
 # Of what the sampler drew in training: beside the paper's figures, not to compare samplers by.
 TRAINING = ("training_goal_ratio", "failure_ratio", "least_trial_ratio", "greatest_trial_ratio")
+UNKNOWN = Interval(*[float("nan")] * 3)
 LAST_ITERATIONS = 100  # that the paper takes the mean training goal ratio of
 STEPS = tuple(f"{what}_{at:g}" for at in THRESHOLDS for what in ("steps_to", "exit_at"))
 
@@ -33,7 +35,8 @@ STEPS = tuple(f"{what}_{at:g}" for at in THRESHOLDS for what in ("steps_to", "ex
 def by_run(tables: StudyTables) -> pd.DataFrame:
     """One row a run: how it ended, and how soon it came to the thresholds.
 
-    Columns: `goal_ratio` and `cvar` of the last evaluation, the `area_under_curve` of both,
+    Columns: `goal_ratio` (of all configurations and of each group) and `cvar` of the last evaluation, the
+    `area_under_curve` of `goal_ratio` and of `cvar`,
     `steps_to_0.9` (environment steps at the first of five evaluations in a row that hold it) and
     `exit_at_0.9` (at the fifth iteration in a row whose training goal ratio holds it: the paper's
     exit condition); inf where it was not reached. Of training: `training_goal_ratio`, the mean of the
@@ -51,6 +54,7 @@ def by_run(tables: StudyTables) -> pd.DataFrame:
         steps, ratios = run.env_steps.to_numpy(), run.goal_ratio.to_numpy()
         row = run[[*keys, "sampler", "alpha", *varied_columns(run)]].iloc[0].to_dict() | {
             "goal_ratio": ratios[-1],
+            **run[group_columns(run)].iloc[-1],
             "cvar": run.cvar.iloc[-1],
             "area_under_curve": area_under_curve(steps, ratios),
             "cvar_area_under_curve": area_under_curve(steps, run.cvar.to_numpy()),
@@ -70,13 +74,19 @@ def by_run(tables: StudyTables) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def group_columns(table: pd.DataFrame) -> list[str]:
+    """The columns of goal ratios of groups of configurations, of a study's results or of its runs."""
+    return [name for name in table.columns if name.startswith("goal_ratio.")]
+
+
 def summary(runs: pd.DataFrame) -> Iterator[files.Row]:
     """One row a condition: interquartile means with intervals, medians and ranges of steps."""
     keys = ["coordinates", "condition"]
     for _, rows in runs.groupby(keys, sort=False):
         row = rows[keys].iloc[0].to_dict() | {"seeds": len(rows)}
-        for name in RATIOS:
-            row |= _columns(name, interval(rows[name].to_numpy()))
+        for name in (*RATIOS, *group_columns(rows)):
+            values = rows[name].to_numpy()
+            row |= _columns(name, UNKNOWN if np.isnan(values).any() else interval(values))
         for name in STEPS:
             row[f"{name}_reached"] = int(np.isfinite(rows[name]).sum())
             spread = rows[name].agg(["median", "min", "max"])
@@ -92,16 +102,17 @@ def paired(runs: pd.DataFrame) -> Iterator[files.Row]:
     Where settings of the learner vary too, the baseline has the same ones.
     """
     for coordinates, rows in _comparable(runs):
-        table = rows.pivot(index="seed", columns="condition", values=[*RATIOS, *STEPS])
+        ratios = (*RATIOS, *group_columns(rows.dropna(axis=1, how="all")))
+        table = rows.pivot(index="seed", columns="condition", values=[*ratios, *STEPS])
         there = list(dict.fromkeys(rows.condition))
         baseline = next((c for c in there if c.partition(",")[0] == BASELINE), there[0])
         for condition in there:
             if condition == baseline:
                 continue
-            for name in (*RATIOS, *STEPS):
+            for name in (*ratios, *STEPS):
                 pairs = table[name][[condition, baseline]].dropna()
                 ours, theirs = pairs[condition].to_numpy(float), pairs[baseline].to_numpy(float)
-                better = ours > theirs if name in RATIOS else ours < theirs
+                better = ours > theirs if name in ratios else ours < theirs
                 equal = ours == theirs
                 both = np.isfinite(ours) & np.isfinite(theirs)
                 head = {"coordinates": coordinates, "condition": condition, "baseline": baseline}
@@ -111,7 +122,7 @@ def paired(runs: pd.DataFrame) -> Iterator[files.Row]:
                     "worse": int((~better & ~equal).sum()),
                     "pairs": int(both.sum()),
                 }
-                found, p = Interval(*[float("nan")] * 3), float("nan")
+                found, p = UNKNOWN, float("nan")
                 if both.any():
                     found = paired_difference(ours[both], theirs[both])
                     p = sign_flip_p(ours[both] - theirs[both])
@@ -150,7 +161,7 @@ def write_report(folder: Path) -> str:
         for name, rows in written.items():
             files.replace_file(folder / f"{name}.csv", files.csv_text(rows))
     lines = [
-        f"set {Path(row['coordinates']).stem}, {row['condition']}, {row['seeds']} seeds: goal ratio "
+        f"{shown_space(row['coordinates'])}, {row['condition']}, {row['seeds']} seeds: goal ratio "
         f"{row['goal_ratio']:.3f} [{row['goal_ratio_low']:.3f}, {row['goal_ratio_high']:.3f}], worst tenth "
         f"{row['cvar']:.3f} [{row['cvar_low']:.3f}, {row['cvar_high']:.3f}]; 0.9 held from "
         f"{_millions(row['steps_to_0.9_median'])}, 0.95 from {_millions(row['steps_to_0.95_median'])}"
@@ -164,7 +175,7 @@ def write_report(folder: Path) -> str:
         )
         interval_of_ratio = f"[{ratio['difference_low']:+.3f}, {ratio['difference_high']:+.3f}]"
         lines.append(
-            f"set {Path(coordinates).stem}, {condition} - {ratio['baseline']}, {ratio['pairs']} pairs: "
+            f"{shown_space(coordinates)}, {condition} - {ratio['baseline']}, {ratio['pairs']} pairs: "
             f"goal ratio {ratio['difference']:+.3f} {interval_of_ratio}, p {ratio['p']:.2g}; "
             f"{THRESHOLDS[-1]:g} held sooner in {steps['better']}, alike in {steps['equal']}, "
             f"later in {steps['worse']}"

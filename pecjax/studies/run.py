@@ -100,7 +100,8 @@ def _train(
     run = dataclasses.replace(run, configurations_every=run.evaluation.every)
     found = [numbers(spec) for spec in specs]
     varied = {name: [of_run[name] for of_run in found] for name in found[0]}
-    collected = Collected([settings.row(spec) for spec in specs])
+    heads = [settings.row(spec) for spec in specs]
+    collected = Collected(heads, program.program.eval_set.held_out)
 
     def diverged(which: int, iteration: int, names: list[str]) -> None:
         progress.say(f"{collected.diverge(which, iteration, names)}; the other runs continue")

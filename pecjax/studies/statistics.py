@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from pecjax.training.rows import cvar as cvar
+from pecjax.training.measures import cvar as cvar
 
 PATIENCE = 5  # evaluations, or iterations, in a row that count as held
 RESAMPLES = 2000

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,19 +12,27 @@ from pecjax.agents import AXIS, Agent, TrainState, device_mesh, shard
 from pecjax.agents.observations import num_values
 from pecjax.agents.sharding import placement
 from pecjax.curriculum import Sampler
-from pecjax.envs.task import Task, World, num_configs
+from pecjax.envs.task import EvalSet, Task, World, num_configs
 from pecjax.runtime.devices import check_memory
 from pecjax.training.settings import RunSettings, check_settings
 
+Tree = TypeVar("Tree")
+
 
 class Run(NamedTuple):
-    """What a run is built from; its world is on all devices of the mesh."""
+    """What a run is built from; its worlds are on all devices of the mesh.
+
+    Attributes:
+        eval_set: what policies are evaluated in; `eval_world` is the world with that table.
+    """
 
     task: Task
     world: World
     sampler: Sampler
     agent: Agent
     mesh: Mesh
+    eval_set: EvalSet
+    eval_world: World
 
     @property
     def num_configs(self) -> int:
@@ -52,21 +60,30 @@ def build(settings: RunSettings, num_devices: int, *, trains: bool = True) -> Ru
         check_memory(agent.replay_bytes, num_devices)
         held = observation_bytes(task, settings.agent.observations_held)
         check_memory(held, num_devices, "the observations of an iteration take")
-    return Run(task, everywhere(world, mesh), sampler, shard(agent, mesh), mesh)
+    eval_set = settings.task.eval_set(world)
+    world = everywhere(world, mesh)
+    return Run(
+        task, world, sampler, shard(agent, mesh), mesh, eval_set, for_evaluation(world, eval_set, mesh)
+    )
 
 
-def everywhere(world: World, mesh: Mesh) -> World:
-    """The world on every device of the mesh."""
+def for_evaluation(world: World, eval_set: EvalSet, mesh: Mesh) -> World:
+    """The world, which is on the mesh, with the configurations of an evaluation."""
+    return world._replace(table=everywhere(eval_set.table, mesh)) if eval_set.held_out else world
+
+
+def everywhere(tree: Tree, mesh: Mesh) -> Tree:
+    """The arrays, such as those of a world, on every device of the mesh."""
     place = NamedSharding(mesh, PartitionSpec())
     if jax.process_count() == 1:
-        return jax.device_put(world, place)
+        return jax.device_put(tree, place)
 
     def own_copies(leaf: Any) -> jax.Array:
         array = jnp.asarray(leaf)
         return jax.make_array_from_callback(array.shape, place, lambda part: array[part])
 
     # `device_put` would compare all processes' copies, and one of them may not come this far.
-    return jax.tree.map(own_copies, world)
+    return jax.tree.map(own_copies, tree)
 
 
 def observation_bytes(task: Task, number: int) -> int:

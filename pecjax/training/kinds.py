@@ -65,8 +65,11 @@ def sampler_label(sampler: SamplerSettings) -> str:
 def run_label(settings: Any) -> str:
     """What a RunSettings is of, for people: sampler, agent, task and seed."""
     task, agent = kind_name(settings.task), kind_name(settings.agent)
-    where = getattr(settings.task, "table", None)
-    task = f"coordinates {where.rpartition('/')[2]}" if isinstance(where, str) else label(task, ())[0]
+    table, space = (getattr(settings.task, name, None) for name in ("table", "space"))
+    if isinstance(space, str):
+        task = space.rpartition("/")[2]
+    else:
+        task = f"coordinates {table.rpartition('/')[2]}" if isinstance(table, str) else label(task, ())[0]
     shown = AGENT_LABELS.get(agent, label(agent, ())[0])
     return f"{sampler_label(settings.sampler)}, {shown}, {task}, seed {settings.seed}"
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pecjax.envs.task import World
+from pecjax.envs.task import EvalSet, World
 from pecjax.runtime.devices import choose_num_devices
 from pecjax.training.build import Run, abstract_state, build, everywhere
 from pecjax.training.checkpoint import Checkpoints
@@ -36,8 +36,18 @@ class Trained(NamedTuple):
         """act(obs, key) -> action for a single observation of `run.task`; it can be jitted."""
         return self.run.agent.policy(self.learner, greedy)
 
+    def elsewhere(self, world: World, eval_set: EvalSet) -> Trained:
+        """The same policy, to be evaluated in another world.
+
+        Raises:
+            InputError: its configurations have objectives that the policy was not shown.
+        """
+        eval_set = eval_set._replace(table=self.run.task.fitted(eval_set.table), held_out=True)
+        there = everywhere(world._replace(table=eval_set.table), self.run.mesh)
+        return self._replace(run=self.run._replace(eval_set=eval_set, eval_world=there))
+
     def evaluator(self) -> Callable[..., EvalResult]:
-        """evaluate(world=None) -> EvalResult, as the run's settings evaluate it.
+        """evaluate(world=None) -> EvalResult, as the run's settings evaluate it, by default in its own world.
 
         It is compiled once; another world of the same shapes, such as maps that were never seen, compiles
         nothing.
@@ -45,7 +55,7 @@ class Trained(NamedTuple):
         compiled = compile_evaluator(self.run, self.settings, self.learner)
 
         def evaluate(world: World | None = None) -> EvalResult:
-            there = self.run.world if world is None else everywhere(world, self.run.mesh)
+            there = self.run.eval_world if world is None else everywhere(world, self.run.mesh)
             return compiled(self.learner, there)
 
         return evaluate

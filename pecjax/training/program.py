@@ -13,9 +13,9 @@ import numpy as np
 from jax.sharding import PartitionSpec
 
 from pecjax.agents import AXIS, Metrics, TrainState, device_mesh
-from pecjax.envs.task import Task, World, num_configs
+from pecjax.envs.task import EvalSet, Task, World, num_configs
 from pecjax.runtime.devices import check_memory, choose_num_devices
-from pecjax.training.build import Run, abstract_state, everywhere, observation_bytes
+from pecjax.training.build import Run, abstract_state, everywhere, for_evaluation, observation_bytes
 from pecjax.training.evaluation import EvalResult, make_episode_runner, make_evaluator, stratified_config_ids
 from pecjax.training.settings import RunSettings
 
@@ -27,7 +27,7 @@ class Program(NamedTuple):
 
     Attributes:
         num_runs: K.
-        num_configs: N.
+        eval_set: what `evaluate` flies in.
         steps_per_iteration: environment steps of each run.
         iterate: (state) -> (state, metrics); it takes the place of the state it is given.
         evaluate: (state) -> EvalResult; compiled when it is first called.
@@ -36,7 +36,7 @@ class Program(NamedTuple):
     """
 
     num_runs: int
-    num_configs: int
+    eval_set: EvalSet
     steps_per_iteration: int
     iterate: Iterate
     evaluate: Callable[[TrainState], EvalResult]
@@ -62,7 +62,7 @@ def one_run(
         if not compiled:
             with compiling():
                 compiled.append(compile_evaluator(run, settings, state.learner))
-        return _leading(compiled[0](state.learner, run.world))
+        return _leading(compiled[0](state.learner, run.eval_world))
 
     def with_axis(state: TrainState) -> tuple[TrainState, Metrics]:
         state, metrics = iterate(state)
@@ -71,7 +71,7 @@ def one_run(
     probabilities = jax.jit(run.sampler.probabilities)
     return Program(
         1,
-        run.num_configs,
+        run.eval_set,
         run.agent.steps_per_iteration,
         with_axis,
         evaluate,
@@ -113,7 +113,7 @@ def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable
     check_memory(8 * (run.task.max_steps + 1) * about.episodes, devices, "the paths of an evaluation take")
     return make_evaluator(
         run.task, run.agent, run.mesh, episodes=about.episodes, greedy=about.greedy, seed=about.seed
-    )(learner, run.world)
+    )(learner, run.eval_world)
 
 
 class StudyProgram(NamedTuple):
@@ -144,7 +144,9 @@ def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> 
     check_memory(agent.replay_bytes * runs, devices)
     world, about = everywhere(world, mesh), settings.evaluation
     run = make_episode_runner(task, agent, greedy=about.greedy, seed=about.seed)
-    config_id = stratified_config_ids(num_configs(world.table), about.episodes, about.seed)
+    eval_set = settings.task.eval_set(world)
+    eval_world = for_evaluation(world, eval_set, mesh)
+    config_id = stratified_config_ids(num_configs(eval_set.table), about.episodes, about.seed)
 
     def init(world: World, seed: jax.Array, numbers: dict[str, jax.Array]) -> TrainState:
         return agent.init(jax.random.key(seed), world, numbers)
@@ -169,22 +171,23 @@ def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> 
                 world, *of_runs
             )
 
-        program = jax.jit(sharded, **options)
-        return lambda *of_runs: program(world, *of_runs)
+        return jax.jit(sharded, **options)
 
     probabilities = jax.jit(jax.vmap(sampler.probabilities))
-    evaluate_all, init_all = spread(evaluate), spread(init)
+    # The numbers are in the sampler's state, so one `iterate` serves all.
+    iterate_all, evaluate_all, init_all = spread(iterate, donate_argnums=1), spread(evaluate), spread(init)
     return StudyProgram(
         lambda seeds, numbers: init_all(
-            np.asarray(seeds, np.int32), {name: np.asarray(v, np.float32) for name, v in numbers.items()}
+            world,
+            np.asarray(seeds, np.int32),
+            {name: np.asarray(v, np.float32) for name, v in numbers.items()},
         ),
         Program(
             runs,
-            num_configs(world.table),
+            eval_set,
             agent.steps_per_iteration,
-            # The numbers are in the sampler's state, so one `iterate` serves all.
-            spread(iterate, donate_argnums=1),
-            lambda state: jax.device_get(evaluate_all(state.learner)),
+            lambda state: iterate_all(world, state),
+            lambda state: jax.device_get(evaluate_all(eval_world, state.learner)),
             lambda state: np.asarray(state.counts),
             lambda state: np.asarray(probabilities(state.sampler)),
         ),

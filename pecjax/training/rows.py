@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from pecjax.agents import Metrics
+from pecjax.envs.task import EvalSet, num_configs
 from pecjax.storage.files import Row
 from pecjax.training.evaluation import EvalResult, success_by_config
+from pecjax.training.measures import by_group, cvar, spl
 
-WORST = 0.1  # the share of the flown configurations that CVaR averages
 DRAWN_PATHS = 2  # of each configuration, whose paths are kept
 MOST_DRAWN_PATHS = 100
 PATH_ARRAYS = ("path_episode", "paths")
@@ -30,37 +31,31 @@ def metrics_row(iteration: int, env_steps: int, metrics: Metrics) -> Row:
         "mean_return": means.pop("return"),
         "mean_length": means.pop("length"),
         **means,
-        **{name: float(value) for name, value in metrics.losses.items()},
+        **{name: float(value) for name, value in (metrics.losses | metrics.sampler).items()},
     }
 
 
-def evaluation_row(iteration: int, env_steps: int, result: EvalResult, num_configs: int) -> Row:
-    """One row of evaluation.csv; `cvar` is the CVaR-10 % over the configurations flown."""
+def evaluation_row(iteration: int, env_steps: int, result: EvalResult, about: EvalSet) -> Row:
+    """One row of evaluation.csv; `cvar` is the CVaR-10 % over the configurations flown.
+
+    Where shortest paths are known, `spl` is success weighted by path length; where there are groups,
+    `goal_ratio.NAME` is that of one.
+    """
+    by_length = spl(result, about)
     return {
         "iteration": iteration,
         "env_steps": env_steps,
         "goal_ratio": float(result.success.mean()),
-        "cvar": float(cvar(success_by_config(result.config_id, result.success, num_configs))),
+        "cvar": float(cvar(success_by_config(result.config_id, result.success, num_configs(about.table)))),
+        **({} if by_length is None else {"spl": by_length}),
         "mean_return": float(result.returns.mean()),
         "mean_length": float(result.lengths.mean()),
-    } | {name: float(value.mean()) for name, value in sorted(result.metrics.items())}
-
-
-def cvar(ratios: np.ndarray) -> np.ndarray:
-    """CVaR-10 %: the mean over the worst tenth of the configurations that were flown.
-
-    Args:
-        ratios: (…, N) goal ratios, NaN where a configuration was not flown.
-
-    Returns:
-        (…) the mean of the lowest round(F / 10), at least one, of the F ratios that are numbers in a
-        row; NaN in a row that has none.
-    """
-    flown = np.isfinite(ratios).sum(axis=-1)
-    number = np.maximum(1, np.rint(WORST * flown))
-    worst = np.arange(ratios.shape[-1]) < number[..., None]
-    total = np.sum(np.sort(ratios, axis=-1), axis=-1, where=worst)  # NaN sorts last
-    return total / number
+        **{name: float(value.mean()) for name, value in sorted(result.metrics.items())},
+        **{
+            f"goal_ratio.{name}": float(result.success[of].mean()) if of.any() else float("nan")
+            for name, of in by_group(result, about)
+        },
+    }
 
 
 def configuration_arrays(counts: np.ndarray, probabilities: np.ndarray) -> dict[str, np.ndarray]:
@@ -92,4 +87,6 @@ def _some_of_each(config_id: np.ndarray) -> np.ndarray:
     order = np.argsort(config_id, kind="stable")
     ids = config_id[order]
     place = np.arange(len(ids)) - np.searchsorted(ids, ids)
-    return order[place < DRAWN_PATHS][:MOST_DRAWN_PATHS]
+    chosen = order[place < DRAWN_PATHS]
+    # Of many, some of all: the configurations may be in an order.
+    return chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), MOST_DRAWN_PATHS)).astype(int)]

@@ -45,9 +45,9 @@ class RunDirectory:
             with files.alone(self.folder):  # whoever else begins here at this moment is refused
                 files.check_free(self.folder)
                 (self.folder / "figures").mkdir()
-                for name, text in kept.items():
+                for name, content in kept.items():
                     (self.folder / name).parent.mkdir(exist_ok=True)
-                    (self.folder / name).write_text(text)
+                    (self.folder / name).write_bytes(content)
                 self.record(settings, num_devices, kept=[*kept])
 
     def settings(self) -> RunSettings:

@@ -84,7 +84,8 @@ class Progress(Sink):
         self._iterations = iterations
         self._episodes = episodes
         self._done = 0
-        self._since: tuple[float, int] | None = None  # when its pace began to count, and at what
+        self._since: tuple[float, int] | None = None  # when the first row came, and what was done then
+        self._pace, self._figures = 0.0, ""  # iterations a second, and what is shown beside the number
         self._last_line = -SECONDS_BETWEEN_LINES
         self._bar = Bar(
             TextColumn("training"),
@@ -104,17 +105,16 @@ class Progress(Sink):
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def open(self, runs: Sequence[str], iteration: int) -> None:
-        """Begins to measure the pace."""
-        self._since = self._since or (time.monotonic(), self._done)
-
     def say(self, line: str) -> None:
         """Prints a line above the bar."""
         self._console.print(line, markup=False)
 
     def skip(self, iterations: int) -> None:
-        """Counts so many iterations as done before."""
+        """Counts so many iterations as done, without a word about how long they took."""
         self._done += iterations
+        if self._since:
+            since, before = self._since
+            self._since = since, before + iterations
 
     def rows(self, table: str, rows: Sequence[Row]) -> None:
         """Advances by an iteration of each run, or prints the line of an evaluation."""
@@ -126,25 +126,30 @@ class Progress(Sink):
             self._advance(
                 len(rows), f"training goal ratio {ratio}", rows[0]["env_steps"] / rows[0]["iteration"]
             )
-            return
-        self._since = time.monotonic(), self._done  # evaluations are no part of the pace
-        if self._episodes:
+        elif self._episodes:
             self.say(
                 f"iteration {rows[0]['iteration']}: goal ratio {ratios[0]:.3f} over "
                 f"{self._episodes} of a uniform draw"
             )
+        # The rows of a study come many at once, before an evaluation; only the last of them tells the pace.
+        if table == "metrics" if self._episodes else table == "evaluation":
+            self._say_if_due()
 
     def _advance(self, iterations: int, figures: str, steps: float) -> None:
         """Shows that so many more iterations, of so many steps each, are done."""
         self._done += iterations
         now = time.monotonic()
-        since, before = self._since or (now, self._done)
-        pace = (self._done - before) / max(now - since, 1e-6)
-        figures += f", {steps * pace:,.0f} steps/s"
+        self._since = since, before = self._since or (now, self._done)
+        self._pace = (self._done - before) / max(now - since, 1e-6)
+        self._figures = figures + (f", {steps * self._pace:,.0f} steps/s" if self._pace else "")
         self._bar.start()
-        self._bar.update(self._task, completed=self._done, figures=figures)
+        self._bar.update(self._task, completed=self._done, figures=self._figures)
+
+    def _say_if_due(self) -> None:
+        """Prints a line where there is no bar, and it is time for one."""
+        now = time.monotonic()
         due = now - self._last_line >= SECONDS_BETWEEN_LINES or self._done == self._iterations
         if due and not self._console.is_terminal:
             self._last_line = now
-            left = f", {(self._iterations - self._done) / pace:.0f} s left" if pace else ""
-            self.say(f"iteration {self._done}/{self._iterations}: {figures}{left}")
+            left = f", {(self._iterations - self._done) / self._pace:.0f} s left" if self._pace else ""
+            self.say(f"iteration {self._done}/{self._iterations}: {self._figures}{left}")

@@ -21,6 +21,7 @@ from pecjax.agents.returns import n_step_return, with_bootstrap
 from pecjax.agents.rollout import Policy, RolloutState, Trajectory, init_rollout, rollout
 from pecjax.agents.sharding import global_ids
 from pecjax.curriculum.base import Sampler, count_outcomes
+from pecjax.curriculum.diagnostics import diagnose
 from pecjax.envs.spaces import Discrete
 from pecjax.envs.task import Task, World, num_configs
 from pecjax.errors import InputError
@@ -163,8 +164,9 @@ def make(task: Task, sampler: Sampler, settings: Apex, axis_name: str | None = N
         reported = env_ids % settings.num_actors >= settings.num_actors + (-settings.num_actors // 3)
         sampler_state = sampler.update(state.sampler, episodes.outcomes, axis_name)
         counts = state.counts + count_outcomes(episodes.outcomes, state.counts.shape[1], axis_name)
+        spread = diagnose(sampler.probabilities(sampler_state), counts)
         parts = terms | {"parameters": learner.params, "observations": actors.envs.obs}
-        metrics = summarize(episodes, are_finite(parts, axis_name), losses, axis_name, reported)
+        metrics = summarize(episodes, are_finite(parts, axis_name), losses, spread, axis_name, reported)
         return TrainState(learner, sampler_state, counts, actors, key), metrics
 
     def policy(learner: Learner, greedy: bool = False):

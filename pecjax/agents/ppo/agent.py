@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from pecjax.agents.base import Agent, TrainState
 from pecjax.agents.distributions import make_distribution
+from pecjax.agents.episodes import sum_over_episodes
 from pecjax.agents.metrics import Metrics, are_finite, summarize
 from pecjax.agents.networks import ActorCritic, forward
 from pecjax.agents.observations import encode, image_shapes
@@ -18,8 +19,18 @@ from pecjax.agents.ppo.update import Learner, make_optimizer, prepare, update
 from pecjax.agents.rollout import Policy, init_rollout, rollout
 from pecjax.agents.sharding import global_ids
 from pecjax.curriculum.base import Sampler, count_outcomes
+from pecjax.curriculum.diagnostics import diagnose
 from pecjax.envs.task import Task, World, num_configs
 from pecjax.errors import InputError
+
+# (advantage, value) of a step -> what it tells a sampler (Jiang et al. 2021, "Prioritized level replay", and
+# "Replay-guided adversarial environment design" for the positive part and for the value).
+SIGNALS: dict[str, Callable[[jax.Array, jax.Array], jax.Array]] = {
+    "positive_value_loss": lambda advantage, value: jnp.maximum(advantage, 0.0),
+    "value_loss": lambda advantage, value: jnp.abs(advantage),
+    "negative_value_loss": lambda advantage, value: jnp.maximum(-advantage, 0.0),
+    "value": lambda advantage, value: value,
+}
 
 
 def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = None) -> Agent:
@@ -70,10 +81,15 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
         learner, losses = update(
             network, distribution, optimizer, settings, learner, batch, key_update, axis_name
         )
-        sampler_state = sampler.update(state.sampler, episodes.outcomes, axis_name)
+        scores = SIGNALS[settings.signal](batch.target - batch.value, batch.value) / settings.reward_scale
+        sums, left = sum_over_episodes(state.envs.running.score, scores, trajectory.done)
+        envs = envs._replace(running=envs.running._replace(score=left))
+        outcomes = episodes.outcomes._replace(signal=sums / episodes.outcomes.length)
+        sampler_state = sampler.update(state.sampler, outcomes, axis_name)
         counts = state.counts + count_outcomes(episodes.outcomes, state.counts.shape[1], axis_name)
+        spread = diagnose(sampler.probabilities(sampler_state), counts)
         finite = are_finite(losses | {"parameters": learner.params, "observations": envs.obs}, axis_name)
-        metrics = summarize(episodes, finite, losses, axis_name)
+        metrics = summarize(episodes, finite, losses, spread, axis_name)
         return TrainState(learner, sampler_state, counts, envs, key), metrics
 
     def policy(learner: Learner, greedy: bool = False):

@@ -9,7 +9,8 @@ from pecjax.envs.rooms.config import (
 )
 from pecjax.envs.rooms.depth import depth_image as depth_image
 from pecjax.envs.rooms.flight import ControllerGains as ControllerGains
+from pecjax.envs.rooms.rules import NavigationSettings as NavigationSettings
 from pecjax.envs.rooms.scene import Scene as Scene, load_scene as load_scene
 from pecjax.envs.rooms.settings import Rooms as Rooms
-from pecjax.envs.rooms.task import NavigationSettings as NavigationSettings, RoomsTask as RoomsTask
+from pecjax.envs.rooms.task import RoomsTask as RoomsTask
 from pecjax.envs.rooms.validity import check_coordinates as check_coordinates

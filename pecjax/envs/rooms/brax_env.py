@@ -11,8 +11,9 @@ from pecjax.envs.axes import fill
 from pecjax.envs.rooms.config import COORDINATE_SET_1, Configurations, draws_on_the_way
 from pecjax.envs.rooms.maps import make_bank
 from pecjax.envs.rooms.quiet_mjx import Env, State
+from pecjax.envs.rooms.rules import NavigationSettings
 from pecjax.envs.rooms.scene import Scene
-from pecjax.envs.rooms.task import NavigationSettings, RoomsParams, RoomsState, RoomsTask
+from pecjax.envs.rooms.task import RoomsParams, RoomsState, RoomsTask
 from pecjax.envs.task import num_configs, take_configs
 
 _KEY = "key"  # in `info`: of what is drawn on the way
@@ -21,7 +22,7 @@ _KEY = "key"  # in `info`: of what is drawn on the way
 class RoomsNavigation(Env):
     """`RoomsTask` in one scene under Brax's contract for a single environment: batch it with `jax.vmap`.
 
-    The observation is that of `sensing.sense`, in SI units. `pipeline_state` is a `RoomsState`, the part
+    The observation is that of `RoomsTask.sense`, in SI units. `pipeline_state` is a `RoomsState`, the part
     that Brax's own automatic reset restores; `metrics` says which ending came about: `goal`,
     `collision`, `timeout`, each 0 or 1, and `unstable` where physics blew up, a collision too. A step
     keeps whatever else wrappers have put into `metrics` and `info`. With gusts or a camera that errs `info`
@@ -39,8 +40,8 @@ class RoomsNavigation(Env):
     ) -> None:
         """Builds the environment; `configurations` is what `reset` draws from, uniformly."""
         self.scene = scene
-        self.task = RoomsTask(scene.vehicle, settings)
         self.configurations = fill(configurations)
+        self.task = RoomsTask(scene.vehicle, settings, objectives=configurations.objective is not None)
         self.params = RoomsParams(make_bank([scene.map]))
 
     def reset(self, rng: jax.Array) -> State:
@@ -90,7 +91,9 @@ class RoomsNavigation(Env):
     def observation_size(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the observation's parts."""
         camera = self.scene.vehicle.camera
-        return {"depth": (camera.height, camera.width), "goal": (2,)}
+        sizes = {"depth": (camera.height, camera.width), "goal": (2,)}
+        objective = self.task.observation_space.get("objective")
+        return sizes if objective is None else sizes | {"objective": objective.shape}
 
     @property
     def action_size(self) -> int:

@@ -15,6 +15,8 @@ from pecjax.errors import InputError
 MAX_MAPS = 2**20
 MAX_COORDINATE = 1e6  # m; what lies beyond is a typo
 MAX_LATENCY = 10  # control steps
+OBJECTIVES = ("reach", "hold", "via")
+REACH, HOLD, VIA = range(len(OBJECTIVES))
 
 
 @struct.dataclass
@@ -41,6 +43,9 @@ class Configurations:
         depth_noise: (N,) standard deviation of the depths, as a share of them.
         depth_dropout: (N,) share of the pixels that read the camera's far end, others at every step.
         latency: (N,) control steps by which actions are late.
+        objective: (N,) 0 to reach the goal, 1 to stay within the goal radius for
+            `NavigationSettings.hold_time`, 2 to reach it by way of the waypoint.
+        waypoint: (N, 2) m, within whose goal radius objective 2 must first come.
     """
 
     start: Any = axis("start_x start_y", unit="m", low=-MAX_COORDINATE, high=MAX_COORDINATE)
@@ -58,6 +63,17 @@ class Configurations:
     depth_dropout: Any = axis("depth_dropout", default=0.0, low=0, high=1, optional=True)
     latency: Any = axis(
         "latency", dtype=np.int32, unit="control steps", default=0, low=0, high=MAX_LATENCY, optional=True
+    )
+    objective: Any = axis(
+        "objective", dtype=np.int32, default=REACH, low=0, high=len(OBJECTIVES) - 1, optional=True
+    )
+    waypoint: Any = axis(
+        "waypoint_x waypoint_y",
+        unit="m",
+        default=0.0,
+        low=-MAX_COORDINATE,
+        high=MAX_COORDINATE,
+        optional=True,
     )
 
     @property

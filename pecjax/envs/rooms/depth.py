@@ -8,12 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pecjax.envs.rooms.maps import Walls
+from pecjax.envs.rooms.maps import FEW_WALLS, Walls
 from pecjax.envs.rooms.rotations import quaternion_to_matrix
 from pecjax.envs.rooms.scene import Scene
 from pecjax.envs.rooms.vehicle import Camera
+from pecjax.envs.rooms.visibility import any_left, could_be_seen, pack, take_first
 
-_UNROLLED_WALLS = 16  # walls tested in one fused loop over the rays
+_WALLS_A_ROUND = 4  # of those in view
 
 
 def pixel_directions(camera: Camera) -> np.ndarray:
@@ -51,7 +52,10 @@ def render_depth(camera: Camera, walls: Walls, position: jax.Array, quaternion: 
     with jax.default_matmul_precision("highest"):  # GPUs would round products to 11 bits
         origin = position + rotation @ jnp.asarray(camera.position, position.dtype)
         directions = rotation @ local
-    depth = raycast(walls, origin, directions)
+    if walls.lower.shape[0] > FEW_WALLS:
+        depth = raycast_in_view(camera, walls, rotation, origin, directions)
+    else:
+        depth = raycast(walls, origin, directions)
     return jnp.clip(depth, camera.near, camera.far).reshape(camera.height, camera.width)
 
 
@@ -64,18 +68,58 @@ def raycast(walls: Walls, origin: jax.Array, directions: jax.Array) -> jax.Array
         origin: (3,) m, shared by all rays.
         directions: (3, R), of any length.
     """
+    inverse, lower, upper = _from(walls, origin, directions)
+
+    def nearer(best: jax.Array, wall: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+        return _nearer(best, wall[0], wall[1], inverse), None
+
+    nothing = jnp.full(directions.shape[1:], jnp.inf, origin.dtype)
+    return jax.lax.scan(nearer, nothing, (lower, upper), unroll=FEW_WALLS)[0]
+
+
+def raycast_in_view(
+    camera: Camera, walls: Walls, rotation: jax.Array, origin: jax.Array, directions: jax.Array
+) -> jax.Array:
+    """`raycast` of the camera's rays, but against the walls that could be in its view, so it ends sooner.
+
+    Further away than the camera's range it may miss a wall. Under `vmap` the loop has as many rounds as the
+    drone of the batch with the most walls in view needs, and no reverse-mode gradient.
+
+    Args:
+        rotation: (3, 3) from the drone's frame to the world.
+        origin, directions: (3,) m and (3, R), of the camera's pixels.
+    """
+    inverse, lower, upper = _from(walls, origin, directions)
+
+    def some_nearer(carry: tuple[list[jax.Array], jax.Array]) -> tuple[list[jax.Array], jax.Array]:
+        left, best = carry
+        numbers, number = [], jnp.zeros((), jnp.int32)
+        for _ in range(_WALLS_A_ROUND):
+            left, number = take_first(left, number)  # a wall again where none is left: it changes nothing
+            numbers.append(number)
+        some = jnp.stack(numbers)
+        for below, above in zip(lower[some], upper[some], strict=True):
+            best = _nearer(best, below, above, inverse)
+        return left, best
+
+    seen = pack(could_be_seen(camera, rotation, lower, upper))
+    nothing = jnp.full(directions.shape[1:], jnp.inf, origin.dtype)
+    return jax.lax.while_loop(lambda carry: any_left(carry[0]), some_nearer, (seen, nothing))[1]
+
+
+def _from(walls: Walls, origin: jax.Array, directions: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Directions inverted, and the walls' corners (W, 3) m as seen from the origin."""
     # An exact zero would turn 0 · inf into NaN for a ray that runs in a wall's face.
     inverse = 1 / jnp.where(jnp.abs(directions) < 1e-9, 1e-9, directions)
     lower = jnp.asarray(walls.lower, origin.dtype) - origin
-    upper = jnp.asarray(walls.upper, origin.dtype) - origin
+    return inverse, lower, jnp.asarray(walls.upper, origin.dtype) - origin
 
-    def nearer(best: jax.Array, wall: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
-        faces = [(wall[0][axis] * inverse[axis], wall[1][axis] * inverse[axis]) for axis in range(3)]
-        # Written out, not as reductions over the axes: so the loop over rays stays one kernel.
-        entry = reduce(jnp.maximum, [jnp.minimum(*pair) for pair in faces])
-        leave = reduce(jnp.minimum, [jnp.maximum(*pair) for pair in faces])
-        hit = jnp.where(entry > 0, entry, leave)
-        return jnp.where((leave >= entry) & (leave > 0), jnp.minimum(best, hit), best), None
 
-    nothing = jnp.full(directions.shape[1:], jnp.inf, origin.dtype)
-    return jax.lax.scan(nearer, nothing, (lower, upper), unroll=_UNROLLED_WALLS)[0]
+def _nearer(best: jax.Array, lower: jax.Array, upper: jax.Array, inverse: jax.Array) -> jax.Array:
+    """The rays' parameters (R,), with one more wall."""
+    faces = [(lower[axis] * inverse[axis], upper[axis] * inverse[axis]) for axis in range(3)]
+    # Written out, not as reductions over the axes: so the loop over rays stays one kernel.
+    entry = reduce(jnp.maximum, [jnp.minimum(*pair) for pair in faces])
+    leave = reduce(jnp.minimum, [jnp.maximum(*pair) for pair in faces])
+    hit = jnp.where(entry > 0, entry, leave)
+    return jnp.where((leave >= entry) & (leave > 0), jnp.minimum(best, hit), best)

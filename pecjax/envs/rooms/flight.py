@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pecjax.envs.rooms.air import drag_force
-from pecjax.envs.rooms.clearance import wall_distance
-from pecjax.envs.rooms.maps import Walls
+from pecjax.envs.rooms.clearance import least_distance, wall_distance
+from pecjax.envs.rooms.maps import FEW_WALLS, Walls
 from pecjax.envs.rooms.quiet_mjx import mjx
 from pecjax.envs.rooms.rotations import dot, heading_to_quaternion, quaternion_to_matrix
 from pecjax.envs.rooms.vehicle import Vehicle
@@ -205,9 +205,21 @@ def fly(
         the end of any of them.
     """
 
+    def move(state: DroneState) -> DroneState:
+        return physics_step(vehicle, state, rotor_controls(vehicle, gains, state, command), conditions)
+
+    if walls.lower.shape[0] > FEW_WALLS:
+
+        def step_and_place(state: DroneState, _: None) -> tuple[DroneState, jax.Array]:
+            state = move(state)
+            return state, state.qpos[:3]
+
+        state, places = jax.lax.scan(step_and_place, state, None, num_steps)
+        return state, least_distance(walls, places)
+
     def step(_: int, carry: tuple[DroneState, jax.Array]) -> tuple[DroneState, jax.Array]:
         state, nearest = carry
-        state = physics_step(vehicle, state, rotor_controls(vehicle, gains, state, command), conditions)
+        state = move(state)
         return state, jnp.minimum(nearest, wall_distance(walls, state.qpos[:3]))
 
     nothing_near = jnp.full((), jnp.inf, state.qpos.dtype)

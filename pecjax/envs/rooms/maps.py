@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-_FAR_AWAY = 1e9  # m, where boxes without size lie that fill up a map with fewer walls than others
+FEW_WALLS = 16  # up to which each wall is tested in one fused loop; of more, other ways are quicker
+FAR_AWAY = 1e9  # m, where boxes without size lie that fill up a map with fewer walls than others
 
 
 class Walls(NamedTuple):
@@ -42,7 +43,7 @@ def make_bank(maps: Sequence[Any]) -> MapBank:
     most = max(len(one.lower) for one in maps)
 
     def filled(corners: np.ndarray) -> np.ndarray:
-        return np.pad(corners, [(0, most - len(corners)), (0, 0)], constant_values=_FAR_AWAY)
+        return np.pad(corners, [(0, most - len(corners)), (0, 0)], constant_values=FAR_AWAY)
 
     lower, upper = (
         np.stack([filled(getattr(one, name)) for one in maps]).astype(np.float32) for name in Walls._fields

@@ -8,7 +8,7 @@ import numpy as np
 
 from pecjax.envs.rooms.config import Configurations
 from pecjax.envs.rooms.map_file import Map
-from pecjax.envs.rooms.task import NavigationSettings
+from pecjax.envs.rooms.rules import NavigationSettings
 from pecjax.envs.rooms.validity import free_regions, regions_at
 from pecjax.envs.rooms.vehicle import Vehicle
 

@@ -41,8 +41,8 @@ def scale(seen: dict[str, jax.Array], far: float) -> dict[str, jax.Array]:
 
     Returns:
         `depth` (…, H, W), and `goal` (…, 3): distance, and sine and cosine of the bearing, which have
-        no jump behind the drone.
+        no jump behind the drone; what else there is as it was.
     """
     distance, bearing = seen["goal"][..., 0], seen["goal"][..., 1]
     goal = jnp.stack([distance / DISTANCE_SCALE, jnp.sin(bearing), jnp.cos(bearing)], axis=-1)
-    return {"depth": seen["depth"] / far, "goal": goal}
+    return seen | {"depth": seen["depth"] / far, "goal": goal}

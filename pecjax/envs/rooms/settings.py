@@ -1,4 +1,4 @@
-"""Settings of the rooms: which maps, which configurations, which rules."""
+"""Settings of the rooms: which maps and configurations, or which space, by which rules."""
 
 from __future__ import annotations
 
@@ -8,17 +8,26 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+
+from pecjax.envs.axes import axes_of, fill
 from pecjax.envs.configuration_files import table_text
 from pecjax.envs.rooms.config import Configurations, load_coordinates
-from pecjax.envs.rooms.maps import make_bank
+from pecjax.envs.rooms.map_file import Map
+from pecjax.envs.rooms.maps import FAR_AWAY, make_bank
 from pecjax.envs.rooms.notices import map_notices
+from pecjax.envs.rooms.plans.plans import RADIUS
+from pecjax.envs.rooms.rules import NavigationSettings
 from pecjax.envs.rooms.scene import Scene, default_scene_path, load_scene
-from pecjax.envs.rooms.task import NavigationSettings, RoomsParams, RoomsTask
+from pecjax.envs.rooms.spaces.space import Space
+from pecjax.envs.rooms.spaces.space_file import read_space, space_path
+from pecjax.envs.rooms.task import RoomsParams, RoomsTask
 from pecjax.envs.rooms.validity import check_configurations
-from pecjax.envs.task import Task, TaskSettings, World
+from pecjax.envs.task import EvalSet, Task, TaskSettings, World
 from pecjax.errors import InputError
 
-TABLE_FILE, MAP_FILE, MAPS_FOLDER = "coordinates.csv", "scene.xml", "maps"  # in a run's folder
+# In a run's folder.
+TABLE_FILE, MAP_FILE, MAPS_FOLDER, SPACE_FILE = "coordinates.csv", "scene.xml", "maps", "space.npz"
 
 
 @dataclass(frozen=True)
@@ -29,6 +38,9 @@ class Rooms(NavigationSettings, TaskSettings):
         table: the paper's set 1 or 2, or a file of configurations.
         maps: MJCF files, or folders of them, in the order that a table counts them in; the paper's six
             rooms where there are none.
+        space: a named space (`pecjax spaces`), or the file of one, in place of a table: its training part is
+            flown, and evaluations are of the part that is held out. Maps then say which drone flies, and
+            where, if the space has no maps of its own.
         resolution: (width, height) of the depth image; None for what the first map's camera says.
     """
 
@@ -38,6 +50,7 @@ class Rooms(NavigationSettings, TaskSettings):
 
     table: str = "1"
     maps: tuple[str, ...] = ()
+    space: str | None = None
     resolution: tuple[int, int] | None = None
 
     def make(self) -> tuple[RoomsTask, World]:
@@ -48,14 +61,67 @@ class Rooms(NavigationSettings, TaskSettings):
                 does not fit, or a configuration that cannot be flown.
         """
         table, scenes = self.configurations(), self.scenes()
-        task = self.task_kind(scenes[0].vehicle, self)
-        check_configurations(
-            [scene.map for scene in scenes], table, task.vehicle.radius, self.flight_height, self.table
+        task = self.task_kind(scenes[0].vehicle, self, objectives=table.objective is not None)
+        maps = [scene.map for scene in scenes]
+        bank = None if self._space is None else self._space.maps
+        if self._space is None or (bank is None and self.maps):
+            source = self.table if self._space is None else None
+            check_configurations(maps, table, task.vehicle.radius, self.flight_height, source)
+        if bank is not None and task.vehicle.radius > RADIUS:
+            raise InputError(
+                f"the drone has a radius of {task.vehicle.radius:g} m; the maps of space '{self.space}' are "
+                f"made for {RADIUS:g} m at most"
+            )
+        return task, World(RoomsParams(make_bank(maps) if bank is None else bank), table)
+
+    @functools.cached_property
+    def _space(self) -> Space | None:
+        """The space, whose configurations were checked where it was made."""
+        if self.space is None:
+            return None
+        if self.table != "1":
+            raise InputError(f"space '{self.space}' has configurations of its own; leave out --coordinates")
+        if self.flight_height != NavigationSettings.flight_height:
+            raise InputError(
+                f"flight-height is {self.flight_height} m; the spaces are made for "
+                f"{NavigationSettings.flight_height} m, leave it out"
+            )
+        return read_space(space_path(self.space))
+
+    def read_space(self) -> Space | None:
+        """The space, read once; None where there is none."""
+        return self._space
+
+    def eval_set(self, world: World, split: str = "held-out") -> EvalSet:
+        """All configurations of a table; of a space those that are held out, or those of its other part."""
+        space = self._space
+        if space is None:
+            return EvalSet(world.table)
+        part, apart = space.part(split), len(space.groups) > 1
+        # Where the goal's radius begins the way is done.
+        shortest = np.maximum(part.shortest - self.goal_radius, 0)
+        table = self._of_own_kind(part.table)
+        held_out = split == "held-out"
+        return EvalSet(table, space.groups, part.group if apart else None, shortest, held_out)
+
+    def _of_own_kind(self, table: Configurations) -> Configurations:
+        known = {name: getattr(table, name) for name in axes_of(Configurations)}
+        return fill(self.configurations_kind(**known))
+
+    def scene(self, number: int) -> Scene:
+        """One of the maps, with the drone."""
+        bank = None if self._space is None else self._space.maps
+        if bank is None:
+            return self.scenes()[number]
+        there = bank.lower[number, :, 0] < FAR_AWAY
+        names = tuple(f"box {box}" for box in range(int(there.sum())))
+        return dataclasses.replace(
+            self.scenes()[0],
+            map=Map(bank.lower[number, there], bank.upper[number, there], bank.bounds[number], names),
         )
-        return task, World(RoomsParams(make_bank([scene.map for scene in scenes])), table)
 
     def scenes(self) -> list[Scene]:
-        """The maps in their order, all with the drone of the first; read once.
+        """The maps from files in their order, all with the drone of the first; read once.
 
         Raises:
             InputError: a file that is not there or is wrong, or another drone.
@@ -77,25 +143,34 @@ class Rooms(NavigationSettings, TaskSettings):
             found.extend(inside)
         return found or [default_scene_path()]
 
-    def files(self) -> dict[str, str]:
-        """Maps and table, as they were read."""
+    def files(self) -> dict[str, bytes]:
+        """Maps and table, as they were read, or the space."""
         texts = [scene.text for scene in self.scenes()]
+        if self.space is not None:
+            return {SPACE_FILE: space_path(self.space).read_bytes(), MAP_FILE: texts[0].encode()}
         width = len(str(len(texts) - 1))
         names = (
             [f"{MAPS_FOLDER}/{n:0{width}}.xml" for n in range(len(texts))] if len(texts) > 1 else [MAP_FILE]
         )
-        return dict(zip(names, texts, strict=True)) | {TABLE_FILE: table_text(self.configurations())}
+        kept = dict(zip(names, texts, strict=True)) | {TABLE_FILE: table_text(self.configurations())}
+        return {name: text.encode() for name, text in kept.items()}
 
     def configurations(self) -> Configurations:
-        """The table."""
+        """The table that is trained in."""
+        if self._space is not None:
+            return self._of_own_kind(self._space.train.table)
         return load_coordinates(self.table, self.configurations_kind)
 
     def kept_in(self, folder: Path) -> Rooms:
         """The same settings, but reading the files that are kept in `folder`."""
+        if self.space is not None:
+            return dataclasses.replace(self, space=str(folder / SPACE_FILE), maps=(str(folder / MAP_FILE),))
         several = (folder / MAPS_FOLDER).is_dir()
         kept = folder / (MAPS_FOLDER if several else MAP_FILE)
         return dataclasses.replace(self, table=str(folder / TABLE_FILE), maps=(str(kept),))
 
     def notices(self, task: Task, world: World) -> tuple[str, ...]:
         """A line for each thing that is allowed, but seldom meant."""
+        if self.space is not None:
+            return ()
         return map_notices([scene.map for scene in self.scenes()], world.table, task.vehicle, self)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 from typing import ClassVar, NamedTuple
 
 import jax
@@ -12,53 +12,20 @@ import numpy as np
 
 from pecjax.envs.rooms.air import first_gust, next_gust
 from pecjax.envs.rooms.camera_errors import with_errors
-from pecjax.envs.rooms.config import MAX_LATENCY, Configurations
-from pecjax.envs.rooms.flight import Command, Conditions, ControllerGains, DroneState, fly, hover
+from pecjax.envs.rooms.config import MAX_LATENCY, OBJECTIVES, REACH, Configurations
+from pecjax.envs.rooms.flight import Command, Conditions, DroneState, fly, hover
 from pecjax.envs.rooms.maps import MapBank, pick
+from pecjax.envs.rooms.objectives import advance, first_progress, is_holding, one_hot, target
+from pecjax.envs.rooms.rules import NavigationSettings, physics_steps
 from pecjax.envs.rooms.sensing import scale, sense
 from pecjax.envs.rooms.vehicle import Vehicle
 from pecjax.envs.spaces import Box, Discrete
 from pecjax.envs.task import Task, Transition
 from pecjax.errors import InputError
 
-MAX_PHYSICS_STEPS = 1000  # in one control period
 SPEEDS = (0.0, 1.0, 2.0)  # m/s
 YAW_RATES = (-np.pi / 2, -np.pi / 4, 0.0, np.pi / 4, np.pi / 2)  # rad/s
 STAND_STILL = 2  # the action
-
-
-@dataclass(frozen=True)
-class NavigationSettings:
-    """Settings of the task; rewards and endings are those of Jang & Choi (2022), §4.1.
-
-    Attributes:
-        control_period: s between actions, a multiple of the physics step.
-        flight_height: m.
-        goal_radius: m, level distance within which the goal counts as reached.
-        max_steps: actions after which an episode has failed.
-        goal_reward, collision_reward, timeout_reward: paid once, at the end.
-        step_reward: paid at every action.
-        hover_penalty: taken off at every action once the speed asked for has been 0 for more than
-            `hover_limit` actions in a row.
-        drag: N s²/m² along the drone's own axes, where there is air (see `air.drag_force`); those of
-            hector_quadrotor.
-        gust_time: s, after which the correlation of a gust has fallen to 1/e.
-        gains: of the velocity controller.
-    """
-
-    control_period: float = 0.1
-    flight_height: float = 1.2
-    goal_radius: float = 0.5
-    max_steps: int = 1000
-    goal_reward: float = 2000.0
-    collision_reward: float = -1000.0
-    timeout_reward: float = -1000.0
-    step_reward: float = -1.0
-    hover_penalty: float = 3.0
-    hover_limit: int = 10
-    drag: tuple[float, float, float] = (0.12, 0.12, 0.1)
-    gust_time: float = 1.0
-    gains: ControllerGains = ControllerGains()
 
 
 class RoomsParams(NamedTuple):
@@ -82,6 +49,7 @@ class RoomsState(NamedTuple):
         hover_count: () int32, of these the last in a row that asked for no speed.
         gust: (3,) m/s, the air's velocity beyond the mean wind; None without gusts.
         pending: (`MAX_LATENCY`,) int32, the last actions, newest first; None without latency.
+        progress: () int32, see `objectives.advance`; None without objectives.
     """
 
     qpos: jax.Array
@@ -91,6 +59,7 @@ class RoomsState(NamedTuple):
     hover_count: jax.Array
     gust: jax.Array | None = None
     pending: jax.Array | None = None
+    progress: jax.Array | None = None
 
 
 class RoomsTask(Task):
@@ -98,37 +67,37 @@ class RoomsTask(Task):
 
     An action is an int in [0, 15): 5 × speed index + yaw-rate index, over `SPEEDS` and `YAW_RATES`
     (2 stands still, 12 flies straight ahead at 2 m/s). A step limit is an ending of the task: it is a
-    failure, and is paid for. `sensing.scale` says what is observed.
+    failure, and is paid for. `sensing.scale` says what is observed; where the table has objectives, the
+    episode's is observed too, one-hot.
     """
 
-    metrics: ClassVar = {"collision": "last", "timeout": "last", "unstable": "last"}
+    metrics: ClassVar = {"collision": "last", "timeout": "last", "unstable": "last", "path_length": "sum"}
 
-    def __init__(self, vehicle: Vehicle, settings: NavigationSettings = NavigationSettings()) -> None:
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        settings: NavigationSettings = NavigationSettings(),
+        *,
+        objectives: bool = False,
+    ) -> None:
         """Puts drone and rules together.
+
+        Args:
+            objectives: whether its configurations have that axis.
 
         Raises:
             InputError: a control period that is no multiple of the physics step, negative drag, or gusts
-                of no duration.
+                or goals to be held of no duration.
         """
-        ratio = settings.control_period / max(vehicle.timestep, 1e-9)
-        self.physics_steps = round(ratio)
-        if not 1 <= self.physics_steps <= MAX_PHYSICS_STEPS or abs(ratio - self.physics_steps) > 1e-6:
-            raise InputError(
-                f"control period {settings.control_period} s is not a multiple of the scene's timestep "
-                f"{vehicle.timestep} s, or more than {MAX_PHYSICS_STEPS} times it; change either"
-            )
-        if len(settings.drag) != 3 or min(settings.drag) < 0 or settings.gust_time <= 0:
-            raise InputError(
-                f"drag is {settings.drag}, gust-time {settings.gust_time}; give three numbers that are not "
-                "negative, and a time above 0"
-            )
+        self.physics_steps = physics_steps(settings, vehicle.timestep)
+        self.hold_steps = math.ceil(settings.hold_time / settings.control_period - 1e-6)
         self.vehicle = vehicle
         self.settings = settings
         camera = vehicle.camera
         self.observation_space = {
             "depth": Box((camera.height, camera.width), camera.near / camera.far, 1.0),
             "goal": Box((3,)),
-        }
+        } | ({"objective": Box((len(OBJECTIVES),), 0.0, 1.0)} if objectives else {})
         self.action_space = Discrete(len(SPEEDS) * len(YAW_RATES))
         self.max_steps = settings.max_steps
 
@@ -147,7 +116,7 @@ class RoomsTask(Task):
         none = jnp.zeros((), jnp.int32)
         still = None if config.gust is None else jnp.zeros(3)
         pending = None if config.latency is None else jnp.full(MAX_LATENCY, STAND_STILL, jnp.int32)
-        return RoomsState(drone.qpos, drone.qvel, config, none, none, still, pending)
+        return RoomsState(drone.qpos, drone.qvel, config, none, none, still, pending, first_progress(config))
 
     def step(self, key: jax.Array, state: RoomsState, action: jax.Array, params: RoomsParams) -> Transition:
         """One control period: physics, endings and reward.
@@ -176,12 +145,14 @@ class RoomsTask(Task):
         unstable = ~jnp.all(jnp.abs(jnp.concatenate(drone)) < mujoco.mjMAXVAL)
         drone = jax.tree.map(lambda old, new: jnp.where(unstable, old, new), before, drone)
         step_count = state.step_count + 1
-        hover_count = (speed == 0) * (state.hover_count + 1)
-
         collision = (nearest <= self.vehicle.radius) | unstable
-        distance = jnp.linalg.norm(config.goal - drone.qpos[:2])
-        goal = (distance < settings.goal_radius) & ~collision
+        distance = jnp.linalg.norm(target(config, state.progress) - drone.qpos[:2])
+        near = distance < settings.goal_radius
+        progress, goal = advance(config, state.progress, near, self.hold_steps)
+        goal &= ~collision
         timeout = (step_count >= settings.max_steps) & ~goal & ~collision
+        idle = (speed == 0) if progress is None else (speed == 0) & ~is_holding(config, progress)
+        hover_count = idle * (state.hover_count + 1)
         reward = (
             settings.step_reward
             + settings.goal_reward * goal
@@ -190,23 +161,49 @@ class RoomsTask(Task):
             - settings.hover_penalty * (hover_count > settings.hover_limit)
         )
         return Transition(
-            state=RoomsState(drone.qpos, drone.qvel, config, step_count, hover_count, gust, pending),
+            state=RoomsState(
+                drone.qpos, drone.qvel, config, step_count, hover_count, gust, pending, progress
+            ),
             reward=jnp.asarray(reward, jnp.float32),
             terminated=goal | collision | timeout,
             truncated=jnp.zeros((), bool),
             success=goal,
-            metrics={"collision": collision, "timeout": timeout, "unstable": unstable},
+            metrics={
+                "collision": collision,
+                "timeout": timeout,
+                "unstable": unstable,
+                "path_length": jnp.linalg.norm(drone.qpos[:2] - before.qpos[:2]),
+            },
         )
 
     def observe(self, key: jax.Array, state: RoomsState, params: RoomsParams) -> dict[str, jax.Array]:
-        """Depth image and goal, scaled (see `sensing.scale`)."""
+        """What `sense` gives, scaled (see `sensing.scale`)."""
         return scale(self.sense(key, state, params), self.vehicle.camera.far)
 
     def sense(self, key: jax.Array, state: RoomsState, params: RoomsParams) -> dict[str, jax.Array]:
-        """Depth image and goal in SI units (see `sensing.sense`)."""
+        """Depth image and goal in SI units (see `sensing.sense`), and the objective if there are several."""
         walls = pick(params.bank, state.config.map_id)
-        seen = sense(self.vehicle.camera, walls, state.qpos[:3], state.qpos[3:], state.config.goal)
-        return seen | {"depth": with_errors(self.vehicle.camera, state.config, key, seen["depth"])}
+        where = target(state.config, state.progress)
+        seen = sense(self.vehicle.camera, walls, state.qpos[:3], state.qpos[3:], where)
+        seen |= {"depth": with_errors(self.vehicle.camera, state.config, key, seen["depth"])}
+        return seen if state.progress is None else seen | {"objective": one_hot(state.config)}
+
+    def fitted(self, table: Configurations) -> Configurations:
+        """The table, with objectives if they are seen.
+
+        Raises:
+            InputError: it has objectives, and they are not seen.
+        """
+        if "objective" not in self.observation_space and table.objective is not None:
+            if np.any(np.asarray(table.objective) != REACH):
+                raise InputError(
+                    "the configurations have objectives, which this policy was never shown; evaluate one "
+                    "that was trained with them"
+                )
+            return table.replace(objective=None, waypoint=None)
+        if "objective" in self.observation_space and table.objective is None:
+            return table.replace(objective=np.full(table.size, REACH, np.int32))
+        return table
 
     def position(self, state: RoomsState) -> jax.Array:
         """(2,) m, seen from above."""

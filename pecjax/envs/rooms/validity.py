@@ -13,14 +13,14 @@ from scipy import ndimage
 
 from pecjax.envs.axes import fill
 from pecjax.envs.rooms.clearance import wall_distance
-from pecjax.envs.rooms.config import Configurations, row_name
+from pecjax.envs.rooms.clearance_grid import make_grid
+from pecjax.envs.rooms.config import VIA, Configurations, row_name
 from pecjax.envs.rooms.map_file import Map
 from pecjax.envs.rooms.maps import Walls
 from pecjax.envs.rooms.scene import Scene
 from pecjax.errors import InputError
 
 CELL = 0.05  # m, of the grid on which reachability is decided
-MAX_CELLS = 2**23
 
 _wall_distance = jax.jit(wall_distance)
 
@@ -42,7 +42,8 @@ def check_configurations(
     """Makes sure that every configuration can be flown in its map.
 
     Start and goal must lie inside the map and clear of its walls by the drone's radius, differ,
-    and be joined by a path that the drone's sphere fits through at its flight height.
+    and be joined by a path that the drone's sphere fits through at its flight height. A waypoint that an
+    objective leads to must lie so too, and on such a path.
 
     Args:
         radius, flight_height: m, of the drone.
@@ -51,6 +52,12 @@ def check_configurations(
     Raises:
         InputError: a row that names a map that is not there or cannot be flown, with the point at fault.
     """
+    if table.waypoint is not None and table.objective is None:
+        raise InputError(f"{source or 'the table'}: waypoints without objectives; add a column objective")
+    for row in _first(_leads_to_waypoint(table)) if table.waypoint is None else []:
+        raise InputError(
+            f"{row_name(source, row)}: its objective leads to a waypoint; add columns waypoint_x, waypoint_y"
+        )
     map_id = np.asarray(table.map_id)
     for row in _first((map_id < 0) | (map_id >= len(maps))):
         raise InputError(
@@ -70,12 +77,15 @@ def _check_in_map(
 ) -> None:
     """`check_configurations` of the rows that fly in one map."""
     start, goal = np.asarray(table.start)[chosen], np.asarray(table.goal)[chosen]
+    passed = _leads_to_waypoint(table)[chosen]
+    # Where there is no waypoint to pass, the goal stands for it.
+    waypoint = goal if table.waypoint is None else np.where(passed[:, None], table.waypoint[chosen], goal)
     low, high = one.bounds
 
     def name(row: int) -> str:
         return row_name(source, int(chosen[row]))
 
-    for role, points in (("start", start), ("goal", goal)):
+    for role, points in (("start", start), ("goal", goal), ("waypoint", waypoint)):
         for row in _first(np.any((points < low) | (points > high), axis=1)):
             raise InputError(f"{name(row)}: {role} {_at(points[row])} lies outside the map; move it")
         heights = np.full((len(points), 1), flight_height, points.dtype)
@@ -86,16 +96,23 @@ def _check_in_map(
                 f"{name(row)}: {role} {_at(points[row])} lies {where}; keep it "
                 f"more than {radius:g} m, the drone's radius, away"
             )
-    for row in _first(np.all(start == goal, axis=1)):
+    for row in _first(np.all(start == goal, axis=1) & ~passed):
         raise InputError(f"{name(row)}: start and goal are both {_at(start[row])}; move one")
     regions, origin = free_regions(one, radius, flight_height)
-    from_start, from_goal = (regions_at(regions, origin, points) for points in (start, goal))
-    meet = (from_start[:, :, None] == from_goal[:, None, :]) & (from_start[:, :, None] > 0)
-    for row in _first(~meet.any(axis=(1, 2))):
-        raise InputError(
-            f"{name(row)}: no path of {2 * radius:g} m width leads from "
-            f"{_at(start[row])} to {_at(goal[row])}; widen a door or move a point"
-        )
+    from_start = regions_at(regions, origin, start)
+    for points in (waypoint, goal):
+        there = regions_at(regions, origin, points)
+        meet = (from_start[:, :, None] == there[:, None, :]) & (from_start[:, :, None] > 0)
+        for row in _first(~meet.any(axis=(1, 2))):
+            raise InputError(
+                f"{name(row)}: no path of {2 * radius:g} m width leads from "
+                f"{_at(start[row])} to {_at(points[row])}; widen a door or move a point"
+            )
+
+
+def _leads_to_waypoint(table: Configurations) -> np.ndarray:
+    """(N,) bool."""
+    return np.zeros(table.size, bool) if table.objective is None else np.asarray(table.objective) == VIA
 
 
 def _distances(one: Map, points: np.ndarray) -> jax.Array:
@@ -120,16 +137,10 @@ def free_regions(one: Map, radius: float, flight_height: float) -> tuple[np.ndar
     Raises:
         InputError: the map is too large for that.
     """
-    low, high = one.bounds
-    if np.prod((high - low) / CELL) > MAX_CELLS:
-        raise InputError(
-            f"the map is {high[0] - low[0]:g} by {high[1] - low[1]:g} m; "
-            f"{MAX_CELLS * CELL**2:,.0f} m² is the most that paths are looked for on"
-        )
-    xs, ys = (np.arange(low[axis], high[axis] + CELL, CELL) for axis in range(2))
-    points = np.stack(np.meshgrid(xs, ys, [flight_height], indexing="ij"), axis=-1)[:, :, 0]
-    distance = np.asarray(_distances(one, points))
-    return cast(Any, ndimage.label(distance > radius))[0], np.array([xs[0], ys[0]])
+    grid = make_grid(
+        one.lower, one.upper, one.bounds, flight_height=flight_height, cell=CELL, reach=radius + CELL
+    )
+    return cast(Any, ndimage.label(grid.clearance > radius))[0], grid.origin
 
 
 def regions_at(regions: np.ndarray, origin: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -1,0 +1,78 @@
+"""Shares of steps: a sampler's probabilities hold for time, not for episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from pecjax.curriculum.base import Outcomes, Sampler, SamplerSettings, by_config, count_outcomes
+from pecjax.curriculum.draws import sample_ids
+from pecjax.curriculum.nested import inner_numbers, num_configs_of
+from pecjax.curriculum.numbers import scalars
+from pecjax.curriculum.pec import PEC
+from pecjax.curriculum.statistics import normalized
+
+
+@dataclass(frozen=True)
+class PerStep(SamplerSettings):
+    """Gives each configuration a share of the steps in place of one of the episodes (see `per_step`).
+
+    Attributes:
+        sampler: whose shares they are.
+    """
+
+    sampler: SamplerSettings = field(default_factory=PEC)
+
+    def make(self, num_configs: int) -> Sampler:
+        """The sampler over N configurations."""
+        return per_step(self.sampler.make(num_configs))
+
+
+class PerStepState(NamedTuple):
+    """The other sampler's state, and episodes and steps (2, N) float32 of each configuration."""
+
+    sampler: Any
+    totals: jax.Array
+
+
+def per_step(sampler: Sampler) -> Sampler:
+    """Draws so that each configuration's share of the *steps* is the sampler's probability.
+
+        P_n = P'_n / L_n / Σ (P' / L)
+
+    with the mean length L of its episodes since the beginning, or of all episodes where it has none. Long
+    episodes of what fails take more of a training than their number says; so they do not. Its numbers are
+    those of the sampler, as `sampler.NAME`.
+
+    Raises:
+        InputError: at an update, outcomes without lengths.
+    """
+    num_configs = num_configs_of(sampler)
+
+    def init(**changes: Any) -> PerStepState:
+        inner, unknown = inner_numbers("sampler", changes)
+        scalars({}, unknown)
+        return PerStepState(sampler.init(**inner), jnp.zeros((2, num_configs)))
+
+    def probabilities(state: PerStepState) -> jax.Array:
+        episodes, steps = state.totals[0], state.totals[1]
+        all_episodes = episodes.sum()
+        usual = jnp.where(all_episodes > 0, steps.sum() / jnp.maximum(all_episodes, 1), 1.0)
+        length = jnp.where(episodes > 0, steps / jnp.maximum(episodes, 1), usual)
+        return normalized(sampler.probabilities(state.sampler) / jnp.maximum(length, 1.0))
+
+    def sample(state: PerStepState, key: jax.Array, shape: int | Sequence[int] = ()) -> jax.Array:
+        return sample_ids(probabilities(state), key, shape)
+
+    def update(state: PerStepState, outcomes: Outcomes, axis_name: str | None = None) -> PerStepState:
+        new = jnp.stack([
+            count_outcomes(outcomes, num_configs, axis_name)[0].astype(jnp.float32),
+            by_config(outcomes, "length", num_configs, axis_name=axis_name),
+        ])  # fmt: skip
+        return PerStepState(sampler.update(state.sampler, outcomes, axis_name), state.totals + new)
+
+    return Sampler(init, probabilities, sample, update)

@@ -1,0 +1,163 @@
+"""PLR: prioritized level replay, by a score of each episode that the learner gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from pecjax.curriculum.base import Outcomes, Sampler, SamplerSettings, by_config, count_outcomes
+from pecjax.curriculum.numbers import Numbers, check_number
+from pecjax.curriculum.statistics import from_statistics, normalized
+from pecjax.errors import InputError
+
+MOST_RANKED = 100_000  # configurations that are sorted for every draw
+Score = Literal["signal", "max_mc"]
+UNSEEN = -1  # in place of the batch that it was last seen in
+
+
+@dataclass(frozen=True)
+class PLR(SamplerSettings):
+    """Replays configurations by the learner's score of them, and by how long ago they were seen (see `plr`).
+
+    Attributes:
+        replay: chance to replay one that was seen, while there are unseen ones.
+        staleness: share of the replays that go by age.
+        temperature: of the scores; the larger, the nearer to uniform.
+        rank: whether scores count by rank, else in proportion.
+        score: the learner's signal itself, or `max_mc`, the regret beside the best return so far, for which
+            the signal is to be the mean value (`--agent.signal value`).
+    """
+
+    replay: float = 0.5
+    staleness: float = 0.3
+    temperature: float = 0.3
+    rank: bool = True
+    score: Score = "signal"
+
+    def make(self, num_configs: int) -> Sampler:
+        """The sampler over N configurations."""
+        return plr(num_configs, self.replay, self.staleness, self.temperature, self.rank, self.score)
+
+
+class Seen(NamedTuple):
+    """What was seen, how it was scored, and when.
+
+    Attributes:
+        score: (N,) float32, of the last batch with episodes of it; 0 or more.
+        last: (N,) int32, the number of that batch; `UNSEEN` where there was none.
+        batch: () int32, how many batches with an episode there have been.
+        best: (N,) float32, the highest return of an episode of it; None where the score is the signal.
+    """
+
+    score: jax.Array
+    last: jax.Array
+    batch: jax.Array
+    best: jax.Array | None
+
+
+class Heard(NamedTuple):
+    """A batch.
+
+    Attributes:
+        trials: (N,) int32, episodes that ended.
+        signal: (N,) float32, the sum of their signals.
+        best: (N,) float32, the highest of their returns; None where the score is the signal.
+    """
+
+    trials: jax.Array
+    signal: jax.Array
+    best: jax.Array | None
+
+
+def plr(
+    num_configs: int,
+    replay: Any = 0.5,
+    staleness: Any = 0.3,
+    temperature: Any = 0.3,
+    rank: bool = True,
+    score: Score = "signal",
+) -> Sampler:
+    """Prioritized level replay over a table (Jiang et al. 2021, Eq. 1-3).
+
+        P_n = replay * ((1 - ρ) h_n^(1/β) / Σ h^(1/β) + ρ (c - c_n) / Σ (c - c_i))   of what was seen
+        P_n = (1 - replay) / unseen                                                  of what was not
+
+    with staleness ρ, temperature β, h = 1 / rank of the score or the score itself, and the batch c_n that
+    it was last seen in. When nothing is unseen, all is replayed. Scores are means over a batch's episodes of
+    their `signal`, such as the mean positive advantage; or by `max_mc` (Jiang et al. 2021, "Replay-guided
+    adversarial environment design") of R - signal, with the highest return R that an episode of the
+    configuration has had, and the mean value of its steps as signal. Below 0 they count as 0.
+
+    Raises:
+        InputError: fewer than one configuration, more than `MOST_RANKED` by rank, or a number out of its
+            range; at an update, outcomes without a signal, or by `max_mc` without an episode return.
+    """
+    check_number("replay", replay, 0, 1)
+    check_number("staleness", staleness, 0, 1)
+    check_number("temperature", temperature, 0, above=True)
+    if rank and num_configs > MOST_RANKED:
+        raise InputError(
+            f"num_configs is {num_configs}; by rank there may be {MOST_RANKED}, as all are sorted for every "
+            "draw: take the proportional form (rank False)"
+        )
+
+    best = jnp.full(num_configs, -jnp.inf) if score == "max_mc" else None
+
+    def begin() -> Seen:
+        return Seen(jnp.zeros(num_configs), jnp.full(num_configs, UNSEEN, jnp.int32), jnp.int32(0), best)
+
+    def learn(seen: Seen, heard: Heard, _: Numbers) -> Seen:
+        mean, best = heard.signal / jnp.maximum(heard.trials, 1), None
+        if heard.best is not None and seen.best is not None:
+            best = jnp.maximum(seen.best, heard.best)
+            mean = best - mean
+        tried = heard.trials > 0
+        return Seen(
+            jnp.where(tried, jnp.maximum(mean, 0.0), seen.score),
+            jnp.where(tried, seen.batch, seen.last),
+            seen.batch + tried.any(),
+            best,
+        )
+
+    def weight(seen: Seen, numbers: Numbers) -> jax.Array:
+        is_seen = seen.last != UNSEEN
+        share = numbers["staleness"]
+        by_score = _by_rank if rank else _in_proportion
+        scored = _among(by_score(seen.score, is_seen, 1 / numbers["temperature"]), is_seen)
+        aged = _among((seen.batch - seen.last).astype(jnp.float32), is_seen)
+        replayed = (1 - share) * scored + share * aged
+        unseen = (~is_seen).sum()
+        chance = jnp.where(unseen == 0, 1.0, jnp.where(is_seen.any(), numbers["replay"], 0.0))
+        return jnp.where(is_seen, chance * replayed, (1 - chance) / jnp.maximum(unseen, 1))
+
+    def hear(outcomes: Outcomes, number: int, axis_name: str | None) -> Heard:
+        trials = count_outcomes(outcomes, number, axis_name)[0]
+        signal = by_config(outcomes, "signal", number, "sum", axis_name)
+        if score == "signal":
+            return Heard(trials, signal, None)
+        return Heard(trials, signal, by_config(outcomes, "episode_return", number, "max", axis_name))
+
+    numbers = {"replay": replay, "staleness": staleness, "temperature": temperature}
+    return from_statistics(num_configs, numbers, begin, learn, weight, hear)
+
+
+def _by_rank(score: jax.Array, is_seen: jax.Array, power: jax.Array) -> jax.Array:
+    """rank^(-power), the highest score of those seen being the first."""
+    order = jnp.argsort(jnp.where(is_seen, -score, jnp.inf), stable=True)
+    rank = jnp.zeros(len(order)).at[order].set(jnp.arange(1.0, len(order) + 1))
+    return jnp.exp(-power * jnp.log(rank))
+
+
+def _in_proportion(score: jax.Array, is_seen: jax.Array, power: jax.Array) -> jax.Array:
+    """score^power, beside the highest: large powers of small scores would vanish."""
+    highest = jnp.where(is_seen, score, 0.0).max()
+    return jnp.exp(power * jnp.log(jnp.maximum(score / jnp.where(highest > 0, highest, 1.0), 1e-30)))
+
+
+def _among(weight: jax.Array, those: jax.Array) -> jax.Array:
+    """Probabilities among those; where they have no weight, they are alike."""
+    given = jnp.where(those, weight, 0.0)
+    return normalized(jnp.where(given.sum() > 0, given, those.astype(given.dtype)))

@@ -1,0 +1,96 @@
+"""Thompson sampling: learnability of a chance of success that is drawn from its posterior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from pecjax.curriculum.base import Sampler, SamplerSettings
+from pecjax.curriculum.memory import begin_memory, remember
+from pecjax.curriculum.numbers import Numbers, check_number
+from pecjax.curriculum.posterior import beta_draws, beta_parameters
+from pecjax.curriculum.statistics import from_statistics
+
+AT_ONCE = 65_536  # chances of success that are drawn after a batch
+
+
+@dataclass(frozen=True)
+class Thompson(SamplerSettings):
+    """Draws in proportion to p (1 - p) of a chance of success p drawn anew after each batch (see `thompson`).
+
+    Attributes:
+        half_life: trials of a configuration that halve the weight of an earlier one.
+    """
+
+    half_life: float = 10.0
+
+    def make(self, num_configs: int) -> Sampler:
+        """The sampler over N configurations."""
+        return thompson(num_configs, self.half_life)
+
+
+class Believed(NamedTuple):
+    """What it knows, what it has drawn, and where it is in its stream of random numbers.
+
+    Attributes:
+        memory: (2, N) successes and failures that fade.
+        drawn: (N,) chances of success, as drawn last; 1/2 until then.
+        turn: () int32, where in the table the next ones are drawn.
+        key: (2,) uint32, of the next draw. It moves on with the outcomes, so that runs of other seeds draw
+            otherwise, and the state says all.
+    """
+
+    memory: jax.Array
+    drawn: jax.Array
+    turn: jax.Array
+    key: jax.Array
+
+
+def thompson(num_configs: int, half_life: Any = 10.0) -> Sampler:
+    """Draws each configuration in proportion to p (1 - p) of a p that is drawn from its posterior.
+
+        w_n = p_n (1 - p_n),   p_n ~ Beta(s_n + 1, f_n + 1)
+
+    drawn anew after each batch that has an outcome, with successes s and failures f that fade: what is
+    little known is looked at sooner or later (as MoPPS has it, Qu et al. 2025). The draws are nearly those
+    of the posterior (`posterior.beta_draws`). Of a table of more than `AT_ONCE` configurations, so many are
+    drawn anew after each batch, in turn.
+
+    Raises:
+        InputError: fewer than one configuration, or a half-life that is not above 0.
+    """
+    check_number("half_life", half_life, 0, above=True)
+    at_once = min(num_configs, AT_ONCE)
+
+    def begin() -> Believed:
+        key = jax.random.key_data(jax.random.key(0, impl="threefry2x32"))
+        return Believed(begin_memory(num_configs), jnp.full(num_configs, 0.5), jnp.int32(0), key)
+
+    def learn(known: Believed, counts: jax.Array, numbers: Numbers) -> Believed:
+        memory = remember(known.memory, counts, numbers["half_life"])
+        places = jnp.arange(num_configs, dtype=jnp.uint32) + 1
+        key = jax.random.wrap_key_data(known.key, impl="threefry2x32")
+        for count in counts:
+            key = jax.random.fold_in(key, (count.astype(jnp.uint32) * places).sum())
+        begin = jnp.minimum(known.turn * at_once, num_configs - at_once)
+        those = jax.lax.dynamic_slice_in_dim(memory, begin, at_once, axis=1)
+        p = beta_draws(key, *beta_parameters(those, 1.0))
+        learned = counts[0].sum() > 0
+        drawn = jax.lax.dynamic_update_slice(known.drawn, p, (begin,))
+        turn = (known.turn + 1) % -(-num_configs // at_once)
+        return jax.tree.map(
+            lambda later, now: jnp.where(learned, later, now),
+            Believed(memory, drawn, turn, jax.random.key_data(key)),
+            known,
+        )
+
+    return from_statistics(
+        num_configs,
+        {"half_life": half_life},
+        begin,
+        learn,
+        weight=lambda known, _: known.drawn * (1 - known.drawn),
+    )

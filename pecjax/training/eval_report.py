@@ -1,0 +1,45 @@
+"""The report of an evaluation: all episodes, each group, and by what configurations hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pecjax.envs.task import EvalSet, num_configs
+from pecjax.training.evaluation import EvalResult
+from pecjax.training.measures import by_group, figures_of, only
+
+BINS = 5  # of a feature, as many configurations in each
+Report = dict[str, Any]
+
+
+def make_report(result: EvalResult, about: EvalSet, features: Mapping[str, np.ndarray]) -> Report:
+    """Figures (see `measures.figures_of`) of an evaluation and of its parts.
+
+    Args:
+        features: numbers (N,) of each configuration, by name.
+
+    Returns:
+        `all`; `groups` by name; `features`: for each a list of bins, with the `low` and `high` of the
+        numbers in it.
+    """
+    number = num_configs(about.table)
+    groups = {name: figures_of(only(result, of), about, number) for name, of in by_group(result, about)}
+    bins = {}
+    for name, values in features.items():
+        of_episode = np.asarray(values)[result.config_id]
+        bins[name] = [
+            {"low": float(low), "high": float(high)} | figures_of(only(result, inside), about, number)
+            for low, high, inside in _bins(of_episode)
+        ]
+    return {"all": figures_of(result, about, number), "groups": groups, "features": bins}
+
+
+def _bins(values: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
+    """The lowest and highest number of each bin, and which (E,) are in it; equal numbers stay together."""
+    edges = np.unique(np.quantile(values, np.arange(1, BINS) / BINS, method="nearest"))
+    place = np.searchsorted(edges, values, side="left")
+    parts = [place == number for number in range(len(edges) + 1)]
+    return [(values[part].min(), values[part].max(), part) for part in parts if part.any()]
