@@ -70,7 +70,7 @@ def test_the_numbers_are_those_of_the_code(name):
     expected = {
         key: settings_tree.short_name(type(value), "pecjax.curriculum")
         if isinstance(value, SamplerSettings)
-        else f"{value}" if isinstance(value, bool) else f"{value:g}"
+        else f"{value:g}" if isinstance(value, float) else f"{value}"
         for key, value in values.items()
     }  # fmt: skip
     assert stated == expected and (expected or line == "none.")
@@ -85,7 +85,9 @@ def test_the_bytes_are_those_of_the_state(name):
     def of_each(kind):
         return size(kind, 101) - size(kind, 100)
 
-    kind, stated = KINDS[name](), rows("name")[name][2]
+    kind, (stated, *others) = KINDS[name](), rows("name")[name][2].split(", by ")
+    for choice, more in (re.fullmatch(r"`(\w+)` (\d+)", other).groups() for other in others):
+        assert of_each(KINDS[name](score=choice)) == int(more)
     inner = [value for value in vars(kind).values() if isinstance(value, SamplerSettings)]
     further = of_each(kind) - sum(map(of_each, inner))
     assert stated == {"mixture": "both", "floor": "+ 0"}.get(name, f"{'+ ' * bool(inner)}{further}")

@@ -142,7 +142,7 @@ def test_paths_that_lead_nowhere_and_values_of_another_type(path, value, words):
 
 
 class Entry:
-    name, value = "learnability", OWN
+    name, value = "plugged_in", OWN
 
 
 def test_kinds_by_module_by_address_and_by_entry_point(monkeypatch):
@@ -152,7 +152,7 @@ def test_kinds_by_module_by_address_and_by_entry_point(monkeypatch):
     assert resolve(OWN, SamplerSettings, CURRICULUM) is Learnability
     groups = {CURRICULUM: [Entry]}
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: groups.get(group, []))
-    assert resolve("learnability", SamplerSettings, CURRICULUM) is Learnability
+    assert resolve("plugged_in", SamplerSettings, CURRICULUM) is Learnability
     assert settings_tree.short_name(PEC, CURRICULUM) == "pec"
     assert settings_tree.short_name(Learnability, CURRICULUM) == OWN
     # A package within the package is a kind's module too.
@@ -170,7 +170,7 @@ def test_kinds_by_module_by_address_and_by_entry_point(monkeypatch):
     [
         (
             "pex",
-            r"unknown sampler 'pex' \(did you mean pec\?\); choose one of pec, uniform, or .*:Class",
+            r"unknown sampler 'pex' \(did you mean pec\?\); choose one of dro, .*, uniform, or .*:Class",
         ),
         ("base", "unknown sampler 'base'"),
         ("no.such.module:Sampler", "no.such.module:Sampler: cannot be imported .*ModuleNotFoundError"),

@@ -100,7 +100,8 @@ def test_every_file_of_the_run_directory_is_there_with_its_columns(run, tables):
     head = ["iteration", "env_steps", "seconds", "goal_ratio", "episodes", "mean_return", "mean_length"]
     of_task = ["collision", "path_length", "timeout", "unstable"]
     learners = ["entropy", "kl", "kl_coeff", "policy_loss", "value_loss"]
-    assert list(tables["metrics"].columns) == head + of_task + learners
+    draws = ["effective_configs", "greatest_probability", "least_probability", "never_solved", "untried"]
+    assert list(tables["metrics"].columns) == head + of_task + learners + draws
     columns = ["iteration", "config", "trials", "failures", "probability"]
     assert list(tables["configurations"].columns) == columns
     # As many columns for a million configurations as for twenty.

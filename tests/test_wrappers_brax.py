@@ -15,7 +15,7 @@ from brax.training.acting import Evaluator
 from flax import struct
 from scipy import stats
 
-from pecjax.curriculum import Sampler, pec, sum_by_config
+from pecjax.curriculum import Sampler, by_config, pec
 from pecjax.curriculum.wrappers.brax import AXIS, curriculum_wrap
 from pecjax.curriculum.wrappers.brax_rows import TableVmapWrapper
 from pecjax.errors import InputError
@@ -190,7 +190,7 @@ def sums_only():
     def update(state, outcomes, axis_name=None):
         told = outcomes._replace(signal=1.0)
         names = ("signal", "length", "episode_return")
-        return state + jnp.stack([sum_by_config(told, name, NUM, axis_name) for name in names])
+        return state + jnp.stack([by_config(told, name, NUM, axis_name=axis_name) for name in names])
 
     def sample(state, key, shape=()):
         return jax.random.randint(key, np.atleast_1d(shape), 0, NUM)

@@ -182,7 +182,7 @@ def test_one_by_one_they_share_a_chooser():
 @pytest.mark.parametrize("vector", [True, False])
 def test_the_sampler_hears_lengths(vector):
     """One that draws shares of steps knows how long each episode took."""
-    sampler = per_step(uniform(N), N)
+    sampler = per_step(uniform(N))
     if vector:
         envs = CurriculumVectorWrapper(vector_env("sync"), sampler, TABLE, failed=fell)
         chooser = envs.chooser
