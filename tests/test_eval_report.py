@@ -79,6 +79,13 @@ def test_groups_and_bins_are_parts_of_the_whole(report):
     json.dumps(report)
 
 
+def test_five_values_as_many_times_each_are_five_bins():
+    config_id, values = np.arange(50), np.tile([0.0, 2, 4, 6, 8], 10)
+    found = make_report(flights(config_id, config_id < 25), EvalSet(np.zeros(50)), {"wind": values})
+    bins = found["features"]["wind"]
+    assert [(part["low"], part["high"], part["episodes"]) for part in bins] == [(v, v, 10) for v in values[:5]]
+
+
 def test_the_figure_has_a_panel_for_each(report):
     figure = evaluation(report)
     assert [axes.get_xlabel() for axes in figure.axes] == ["", "wind (m/s)", "gust"]

@@ -35,4 +35,5 @@ def from_counts(num_configs: int, numbers: Mapping[str, Any], priority: Priority
         begin=lambda: jnp.zeros((2, num_configs), jnp.int32),
         learn=lambda counts, new, _: counts + new,
         weight=lambda counts, own: priority(counts[0], counts[1], own),
+        each_alone=True,
     )

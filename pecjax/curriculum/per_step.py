@@ -14,7 +14,7 @@ from pecjax.curriculum.draws import sample_ids
 from pecjax.curriculum.nested import inner_numbers, num_configs_of
 from pecjax.curriculum.numbers import scalars
 from pecjax.curriculum.pec import PEC
-from pecjax.curriculum.statistics import normalized
+from pecjax.curriculum.statistics import ids_in_batch, learn_alone, normalized
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ def per_step(sampler: Sampler) -> Sampler:
 
     def probabilities(state: PerStepState) -> jax.Array:
         episodes, steps = state.totals[0], state.totals[1]
-        all_episodes = episodes.sum()
-        usual = jnp.where(all_episodes > 0, steps.sum() / jnp.maximum(all_episodes, 1), 1.0)
+        all_episodes, all_steps = state.totals.sum(axis=1)
+        usual = jnp.where(all_episodes > 0, all_steps / jnp.maximum(all_episodes, 1), 1.0)
         length = jnp.where(episodes > 0, steps / jnp.maximum(episodes, 1), usual)
         return normalized(sampler.probabilities(state.sampler) / jnp.maximum(length, 1.0))
 
@@ -69,10 +69,12 @@ def per_step(sampler: Sampler) -> Sampler:
         return sample_ids(probabilities(state), key, shape)
 
     def update(state: PerStepState, outcomes: Outcomes, axis_name: str | None = None) -> PerStepState:
-        new = jnp.stack([
-            count_outcomes(outcomes, num_configs, axis_name)[0].astype(jnp.float32),
+        new = (
+            count_outcomes(outcomes, num_configs, axis_name)[0],
             by_config(outcomes, "length", num_configs, axis_name=axis_name),
-        ])  # fmt: skip
-        return PerStepState(sampler.update(state.sampler, outcomes, axis_name), state.totals + new)
+        )
+        ids = ids_in_batch(outcomes, num_configs, axis_name)
+        totals = learn_alone(lambda before, heard: before + jnp.stack(heard), state.totals, new, ids)
+        return PerStepState(sampler.update(state.sampler, outcomes, axis_name), totals)
 
     return Sampler(init, probabilities, sample, update)

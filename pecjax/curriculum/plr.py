@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from pecjax.curriculum.base import Outcomes, Sampler, SamplerSettings, by_config, count_outcomes
 from pecjax.curriculum.numbers import Numbers, check_number
-from pecjax.curriculum.statistics import from_statistics, normalized
+from pecjax.curriculum.statistics import from_statistics, ids_in_batch, learn_alone
 from pecjax.errors import InputError
 
 MOST_RANKED = 100_000  # configurations that are sorted for every draw
@@ -65,11 +65,13 @@ class Heard(NamedTuple):
         trials: (N,) int32, episodes that ended.
         signal: (N,) float32, the sum of their signals.
         best: (N,) float32, the highest of their returns; None where the score is the signal.
+        ids: as `ids_in_batch` has them.
     """
 
     trials: jax.Array
     signal: jax.Array
     best: jax.Array | None
+    ids: jax.Array | None
 
 
 def plr(
@@ -110,35 +112,40 @@ def plr(
         return Seen(jnp.zeros(num_configs), jnp.full(num_configs, UNSEEN, jnp.int32), jnp.int32(0), best)
 
     def learn(seen: Seen, heard: Heard, _: Numbers) -> Seen:
-        mean, best = heard.signal / jnp.maximum(heard.trials, 1), None
-        if heard.best is not None and seen.best is not None:
-            best = jnp.maximum(seen.best, heard.best)
-            mean = best - mean
-        tried = heard.trials > 0
-        return Seen(
-            jnp.where(tried, jnp.maximum(mean, 0.0), seen.score),
-            jnp.where(tried, seen.batch, seen.last),
-            seen.batch + tried.any(),
-            best,
+        def of_each(known: tuple[Any, ...], new: tuple[Any, ...]) -> tuple[Any, ...]:
+            (before, last, best), (trials, signal, highest) = known, new
+            found = signal / jnp.maximum(trials, 1)
+            if best is not None:
+                best = jnp.maximum(best, highest)
+                found = best - found
+            tried = trials > 0
+            return jnp.where(tried, jnp.maximum(found, 0.0), before), jnp.where(tried, seen.batch, last), best
+
+        score, last, best = learn_alone(
+            of_each, (seen.score, seen.last, seen.best), (heard.trials, heard.signal, heard.best), heard.ids
         )
+        return Seen(score, last, seen.batch + heard.trials.any(), best)
 
     def weight(seen: Seen, numbers: Numbers) -> jax.Array:
-        is_seen = seen.last != UNSEEN
-        share = numbers["staleness"]
+        is_seen, share = seen.last != UNSEEN, numbers["staleness"]
         by_score = _by_rank if rank else _in_proportion
-        scored = _among(by_score(seen.score, is_seen, 1 / numbers["temperature"]), is_seen)
-        aged = _among((seen.batch - seen.last).astype(jnp.float32), is_seen)
-        replayed = (1 - share) * scored + share * aged
-        unseen = (~is_seen).sum()
-        chance = jnp.where(unseen == 0, 1.0, jnp.where(is_seen.any(), numbers["replay"], 0.0))
-        return jnp.where(is_seen, chance * replayed, (1 - chance) / jnp.maximum(unseen, 1))
+        score = jnp.where(is_seen, by_score(seen.score, is_seen, 1 / numbers["temperature"]), 0.0)
+        age = jnp.where(is_seen, seen.batch - seen.last, 0).astype(jnp.float32)
+        number = is_seen.sum()
+        unseen = num_configs - number
+        chance = jnp.where(unseen == 0, 1.0, jnp.where(number > 0, numbers["replay"], 0.0))
+        # The whole of each part first, so that one pass puts them together. What has no whole is even.
+        of_score, even_score = _factors(chance * (1 - share), score.sum(), number)
+        of_age, even_age = _factors(chance * share, age.sum(), number)
+        replayed = of_score * score + of_age * age + even_score + even_age
+        return jnp.where(is_seen, replayed, (1 - chance) / jnp.maximum(unseen, 1))
 
     def hear(outcomes: Outcomes, number: int, axis_name: str | None) -> Heard:
         trials = count_outcomes(outcomes, number, axis_name)[0]
-        signal = by_config(outcomes, "signal", number, "sum", axis_name)
-        if score == "signal":
-            return Heard(trials, signal, None)
-        return Heard(trials, signal, by_config(outcomes, "episode_return", number, "max", axis_name))
+        signal, highest = by_config(outcomes, "signal", number, "sum", axis_name), None
+        if score == "max_mc":
+            highest = by_config(outcomes, "episode_return", number, "max", axis_name)
+        return Heard(trials, signal, highest, ids_in_batch(outcomes, number, axis_name))
 
     numbers = {"replay": replay, "staleness": staleness, "temperature": temperature}
     return from_statistics(num_configs, numbers, begin, learn, weight, hear)
@@ -157,7 +164,11 @@ def _in_proportion(score: jax.Array, is_seen: jax.Array, power: jax.Array) -> ja
     return jnp.exp(power * jnp.log(jnp.maximum(score / jnp.where(highest > 0, highest, 1.0), 1e-30)))
 
 
-def _among(weight: jax.Array, those: jax.Array) -> jax.Array:
-    """Probabilities among those; where they have no weight, they are alike."""
-    given = jnp.where(those, weight, 0.0)
-    return normalized(jnp.where(given.sum() > 0, given, those.astype(given.dtype)))
+def _factors(mass: jax.Array, whole: jax.Array, number: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """What to multiply weights by, so that their whole is `mass`, and what each of so many gets beside.
+
+    The second is 0, unless the whole is: then all get alike.
+    """
+    is_even = whole <= 0
+    of_weight = mass / jnp.where(is_even, 1.0, whole)
+    return jnp.where(is_even, 0.0, of_weight), jnp.where(is_even, mass / jnp.maximum(number, 1), 0.0)

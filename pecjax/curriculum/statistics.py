@@ -56,7 +56,7 @@ def from_statistics(
             another function.
         each_alone: whether `learn` treats each configuration by itself, with arrays whose last axis is the
             configurations, and leaves what has no outcome as it is. It is then worked out for those of the
-            batch only, which is most of the work saved where there are many others.
+            batch only (`learn_alone`), which is most of the work saved where there are many others.
 
     Raises:
         InputError: fewer than one configuration.
@@ -74,19 +74,37 @@ def from_statistics(
         return sample_ids(probabilities(state), key, shape)
 
     def update(state: StatisticsState, outcomes: Outcomes, axis_name: str | None = None) -> StatisticsState:
-        heard = hear(outcomes, num_configs, axis_name)
-        ids = jnp.ravel(jnp.asarray(outcomes.config_id))
-        # On one of several devices nobody knows what the others' outcomes are of.
-        if not each_alone or axis_name is not None or ids.size >= num_configs:
-            return state._replace(statistics=learn(state.statistics, heard, state.numbers))
-        known, heard = jax.tree.map(lambda leaf: leaf[..., ids], (state.statistics, heard))
-        learned = learn(known, heard, state.numbers)
-        statistics = jax.tree.map(
-            lambda leaf, rows: leaf.at[..., ids].set(rows), state.statistics, learned
-        )  # several outcomes of one configuration write the same
-        return state._replace(statistics=statistics)
+        heard, numbers = hear(outcomes, num_configs, axis_name), state.numbers
+        if not each_alone:
+            return state._replace(statistics=learn(state.statistics, heard, numbers))
+        ids = ids_in_batch(outcomes, num_configs, axis_name)
+        learned = learn_alone(lambda known, new: learn(known, new, numbers), state.statistics, heard, ids)
+        return state._replace(statistics=learned)
 
     return Sampler(init, probabilities, sample, update)
+
+
+def ids_in_batch(outcomes: Outcomes, num_configs: int, axis_name: str | None) -> jax.Array | None:
+    """The configurations (E,) that a batch is of; None where that spares no work.
+
+    On one of several devices nobody knows what the others' outcomes are of.
+    """
+    ids = jnp.ravel(jnp.asarray(outcomes.config_id))
+    return None if axis_name is not None or ids.size >= num_configs else ids
+
+
+def learn_alone(learn: Callable[[Any, Any], Any], known: Any, heard: Any, ids: jax.Array | None) -> Any:
+    """`learn(known, heard)` worked out for the configurations of a batch only, or for all if `ids` is None.
+
+    Args:
+        learn: treats each configuration by itself, and leaves one without an outcome as it is.
+        known, heard: pytrees of arrays whose last axis is the configurations.
+    """
+    if ids is None:
+        return learn(known, heard)
+    learned = learn(*jax.tree.map(lambda leaf: jnp.asarray(leaf)[..., ids], (known, heard)))
+    # Several outcomes of one configuration write the same.
+    return jax.tree.map(lambda leaf, rows: jnp.asarray(leaf).at[..., ids].set(rows), known, learned)
 
 
 def normalized(weight: jax.Array) -> jax.Array:

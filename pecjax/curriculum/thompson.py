@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from pecjax.curriculum.base import Sampler, SamplerSettings
+from pecjax.curriculum.base import Outcomes, Sampler, SamplerSettings, check_outcomes, count_outcomes
 from pecjax.curriculum.memory import begin_memory, remember
 from pecjax.curriculum.numbers import Numbers, check_number
 from pecjax.curriculum.posterior import beta_draws, beta_parameters
-from pecjax.curriculum.statistics import from_statistics
+from pecjax.curriculum.statistics import from_statistics, ids_in_batch, learn_alone
 
 AT_ONCE = 65_536  # chances of success that are drawn after a batch
 
@@ -49,6 +49,20 @@ class Believed(NamedTuple):
     key: jax.Array
 
 
+class Heard(NamedTuple):
+    """A batch.
+
+    Attributes:
+        counts: (2, N) int32, trials and failures.
+        ids: as `ids_in_batch` has them.
+        sums: (2,) uint32, of n + 1 over the trials and over the failures of each configuration n.
+    """
+
+    counts: jax.Array
+    ids: jax.Array | None
+    sums: jax.Array
+
+
 def thompson(num_configs: int, half_life: Any = 10.0) -> Sampler:
     """Draws each configuration in proportion to p (1 - p) of a p that is drawn from its posterior.
 
@@ -69,22 +83,34 @@ def thompson(num_configs: int, half_life: Any = 10.0) -> Sampler:
         key = jax.random.key_data(jax.random.key(0, impl="threefry2x32"))
         return Believed(begin_memory(num_configs), jnp.full(num_configs, 0.5), jnp.int32(0), key)
 
-    def learn(known: Believed, counts: jax.Array, numbers: Numbers) -> Believed:
-        memory = remember(known.memory, counts, numbers["half_life"])
-        places = jnp.arange(num_configs, dtype=jnp.uint32) + 1
+    def hear(outcomes: Outcomes, number: int, axis_name: str | None) -> Heard:
+        config_id, done, failed = map(jnp.asarray, check_outcomes(outcomes, number))
+        done = done.astype(bool)
+        places = jnp.where((config_id >= 0) & (config_id < number), config_id + 1, 0).astype(jnp.uint32)
+        sums = jnp.stack([(places * flags).sum() for flags in (done, done & failed.astype(bool))])
+        return Heard(
+            count_outcomes(outcomes, number, axis_name),
+            ids_in_batch(outcomes, number, axis_name),
+            sums if axis_name is None else jax.lax.psum(sums, axis_name),
+        )
+
+    def learn(known: Believed, heard: Heard, numbers: Numbers) -> Believed:
+        memory = learn_alone(
+            lambda before, new: remember(before, new, numbers["half_life"]),
+            known.memory, heard.counts, heard.ids,
+        )  # fmt: skip
         key = jax.random.wrap_key_data(known.key, impl="threefry2x32")
-        for count in counts:
-            key = jax.random.fold_in(key, (count.astype(jnp.uint32) * places).sum())
-        begin = jnp.minimum(known.turn * at_once, num_configs - at_once)
-        those = jax.lax.dynamic_slice_in_dim(memory, begin, at_once, axis=1)
-        p = beta_draws(key, *beta_parameters(those, 1.0))
-        learned = counts[0].sum() > 0
-        drawn = jax.lax.dynamic_update_slice(known.drawn, p, (begin,))
+        for number in heard.sums:
+            key = jax.random.fold_in(key, number)
+        those = jnp.minimum(known.turn * at_once, num_configs - at_once) + jnp.arange(at_once)
+        p = beta_draws(key, *beta_parameters(memory[:, those], 1.0))
         turn = (known.turn + 1) % -(-num_configs // at_once)
-        return jax.tree.map(
-            lambda later, now: jnp.where(learned, later, now),
-            Believed(memory, drawn, turn, jax.random.key_data(key)),
-            known,
+        learned = heard.counts[0].any()
+        return Believed(
+            memory,
+            known.drawn.at[those].set(jnp.where(learned, p, known.drawn[those])),
+            jnp.where(learned, turn, known.turn),
+            jnp.where(learned, jax.random.key_data(key), known.key),
         )
 
     return from_statistics(
@@ -93,4 +119,5 @@ def thompson(num_configs: int, half_life: Any = 10.0) -> Sampler:
         begin,
         learn,
         weight=lambda known, _: known.drawn * (1 - known.drawn),
+        hear=hear,
     )

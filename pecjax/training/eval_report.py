@@ -39,7 +39,7 @@ def make_report(result: EvalResult, about: EvalSet, features: Mapping[str, np.nd
 
 def _bins(values: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
     """The lowest and highest number of each bin, and which (E,) are in it; equal numbers stay together."""
-    edges = np.unique(np.quantile(values, np.arange(1, BINS) / BINS, method="nearest"))
+    edges = np.unique(np.quantile(values, np.arange(1, BINS) / BINS, method="inverted_cdf"))
     place = np.searchsorted(edges, values, side="left")
     parts = [place == number for number in range(len(edges) + 1)]
     return [(values[part].min(), values[part].max(), part) for part in parts if part.any()]
