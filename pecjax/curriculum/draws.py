@@ -15,8 +15,8 @@ MAX_AT_ONCE = 1024
 BRANCHES = 32  # of every level below
 
 
-def sample_ids(probabilities: jax.Array, key: jax.Array, shape: int | Sequence[int] = ()) -> jax.Array:
-    """Configuration numbers drawn independently, with replacement, in proportion to `probabilities`.
+def sample_ids(weights: jax.Array, key: jax.Array, shape: int | Sequence[int] = ()) -> jax.Array:
+    """Configuration numbers drawn independently, with replacement, in proportion to `weights`.
 
     Up to `MAX_AT_ONCE` configurations it is `jax.random.choice`. More are put into blocks of
     `BRANCHES`, and these into larger ones, until there are few enough for it; it draws one of the
@@ -24,7 +24,7 @@ def sample_ids(probabilities: jax.Array, key: jax.Array, shape: int | Sequence[i
     grain of its own, and none of N configurations is out of reach. Takes O(N) once for all draws.
 
     Args:
-        probabilities: (N,) 0 or more; they need not sum to 1.
+        weights: (N,) 0 or more, with any sum; where all are 0 it draws uniformly.
         shape: of the result.
 
     Returns:
@@ -32,18 +32,27 @@ def sample_ids(probabilities: jax.Array, key: jax.Array, shape: int | Sequence[i
     """
     shape = tuple(np.atleast_1d(np.asarray(shape, int)).tolist())
     # Seen as a constant of the program, a large table would be summed up while it is compiled.
-    mass = jax.lax.optimization_barrier(probabilities)
+    mass = jax.lax.optimization_barrier(weights)
     levels: list[jax.Array] = []  # (blocks, BRANCHES) each, the finest first
     while mass.shape[0] > MAX_AT_ONCE:
         levels.append(jnp.pad(mass, (0, -mass.shape[0] % BRANCHES)).reshape(-1, BRANCHES))
         mass = levels[-1].sum(axis=1)
     key, key_below = jax.random.split(key) if levels else (key, key)
-    ids = jax.random.choice(key, mass.shape[0], shape, p=mass).astype(jnp.int32)
+    ids = jax.random.choice(key, mass.shape[0], shape, p=normalized(mass)).astype(jnp.int32)
+    if not levels:
+        return ids
     # (1 - u) of [0, 1) is above 0, as `jax.random.choice` has it: what has no mass is never reached.
     uniforms = 1 - jax.random.uniform(key_below, (len(levels), *shape))
     for level, uniform in zip(reversed(levels), uniforms, strict=True):
         ids = ids * BRANCHES + _place_within(jnp.moveaxis(level[ids], -1, 0), uniform)
-    return ids
+    uniform_ids = jax.random.randint(key, shape, 0, weights.shape[0])
+    return jnp.where(mass.sum() > 0, ids, uniform_ids)
+
+
+def normalized(weight: jax.Array) -> jax.Array:
+    """Weights (N,) 0 or more as probabilities; uniform ones where every weight is 0."""
+    total = weight.sum()
+    return jnp.where(total > 0, weight / jnp.where(total > 0, total, 1.0), 1 / weight.shape[0])
 
 
 def _place_within(mass: jax.Array, uniform: jax.Array) -> jax.Array:

@@ -10,11 +10,11 @@ import jax
 import jax.numpy as jnp
 
 from pecjax.curriculum.base import Outcomes, Sampler, SamplerSettings, by_config, count_outcomes
-from pecjax.curriculum.draws import sample_ids
+from pecjax.curriculum.draws import normalized, sample_ids
 from pecjax.curriculum.nested import inner_numbers, num_configs_of
 from pecjax.curriculum.numbers import scalars
 from pecjax.curriculum.pec import PEC
-from pecjax.curriculum.statistics import ids_in_batch, learn_alone, normalized
+from pecjax.curriculum.statistics import ids_in_batch, learn_alone
 
 
 @dataclass(frozen=True)
@@ -58,15 +58,18 @@ def per_step(sampler: Sampler) -> Sampler:
         scalars({}, unknown)
         return PerStepState(sampler.init(**inner), jnp.zeros((2, num_configs)))
 
-    def probabilities(state: PerStepState) -> jax.Array:
+    def weights(state: PerStepState) -> jax.Array:
         episodes, steps = state.totals[0], state.totals[1]
-        all_episodes, all_steps = state.totals.sum(axis=1)
-        usual = jnp.where(all_episodes > 0, all_steps / jnp.maximum(all_episodes, 1), 1.0)
+        whole = state.totals.sum(axis=1)
+        usual = jnp.where(whole[0] > 0, whole[1] / jnp.maximum(whole[0], 1), 1.0)
         length = jnp.where(episodes > 0, steps / jnp.maximum(episodes, 1), usual)
-        return normalized(sampler.probabilities(state.sampler) / jnp.maximum(length, 1.0))
+        return sampler.probabilities(state.sampler) / jnp.maximum(length, 1.0)
+
+    def probabilities(state: PerStepState) -> jax.Array:
+        return normalized(weights(state))
 
     def sample(state: PerStepState, key: jax.Array, shape: int | Sequence[int] = ()) -> jax.Array:
-        return sample_ids(probabilities(state), key, shape)
+        return sample_ids(weights(state), key, shape)
 
     def update(state: PerStepState, outcomes: Outcomes, axis_name: str | None = None) -> PerStepState:
         new = (

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from pecjax.curriculum.base import Outcomes, Sampler, count_outcomes
-from pecjax.curriculum.draws import sample_ids
+from pecjax.curriculum.draws import normalized, sample_ids
 from pecjax.curriculum.numbers import Numbers, scalars
 from pecjax.errors import InputError
 
@@ -71,7 +71,7 @@ def from_statistics(
         return normalized(weight(state.statistics, state.numbers))
 
     def sample(state: StatisticsState, key: jax.Array, shape: int | Sequence[int] = ()) -> jax.Array:
-        return sample_ids(probabilities(state), key, shape)
+        return sample_ids(weight(state.statistics, state.numbers), key, shape)
 
     def update(state: StatisticsState, outcomes: Outcomes, axis_name: str | None = None) -> StatisticsState:
         heard, numbers = hear(outcomes, num_configs, axis_name), state.numbers
@@ -105,9 +105,3 @@ def learn_alone(learn: Callable[[Any, Any], Any], known: Any, heard: Any, ids: j
     learned = learn(*jax.tree.map(lambda leaf: jnp.asarray(leaf)[..., ids], (known, heard)))
     # Several outcomes of one configuration write the same.
     return jax.tree.map(lambda leaf, rows: jnp.asarray(leaf).at[..., ids].set(rows), known, learned)
-
-
-def normalized(weight: jax.Array) -> jax.Array:
-    """Weights (N,) 0 or more as probabilities; uniform ones where every weight is 0."""
-    total = weight.sum()
-    return jnp.where(total > 0, weight / jnp.where(total > 0, total, 1.0), 1 / weight.shape[0])
