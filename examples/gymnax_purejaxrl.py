@@ -1,6 +1,6 @@
 """PPO in one jitted program, in the manner of PureJaxRL, over CartPoles of many lengths and gravities.
 
-    python examples/gymnax_purejaxrl.py    (after pip install gymnax)
+    python examples/gymnax_purejaxrl.py    (after pip install -e ".[gymnax]")
 
 The curriculum is the lines that end with `# PEC`; the others would be there without it.
 """
@@ -21,7 +21,7 @@ LENGTH, GRAVITY = (grid.ravel() for grid in np.meshgrid(np.geomspace(0.1, 2.5, 6
 
 
 def main(num_updates=200, seed=0):
-    """Trains and prints how often each fell; returns trials and failures, and what the sampler was told."""
+    """Trains and prints how often poles fell; returns trials and failures, and what the sampler was told."""
     env, params = gymnax.make("CartPole-v1")
     table = params_table(params, length=LENGTH, polemass_length=0.1 * LENGTH, gravity=GRAVITY)  # PEC
     env, sampler = Curriculum(env), pec(len(LENGTH))  # PEC
@@ -71,7 +71,12 @@ def main(num_updates=200, seed=0):
     carry = ((weights, optimizer.init(weights)), obs, state, curriculum)
     (*_, curriculum), told = jax.jit(lambda *args: jax.lax.scan(update, *args))(carry, keys[2:])
     trials, falls = np.asarray(curriculum.statistics)
-    print("share of episodes that fell:", (falls / trials).reshape(3, -1).round(2), sep="\n")
+    tenth = -(-num_updates // 10)
+    for name, part in (("first", slice(tenth)), ("last", slice(-tenth, None))):
+        _, done, fell = (np.asarray(what[part]) for what in told)
+        length, share = done.size / done.sum(), fell.sum() / done.sum()
+        print(f"{name} tenth: episodes of {length:.0f} steps, {share:.2f} of them fell")
+    print("over all, by gravity and length:", (falls / trials).reshape(3, -1).round(2), sep="\n")
     return trials, falls, told
 
 

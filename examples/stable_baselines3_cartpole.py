@@ -1,6 +1,6 @@
 """Stable-Baselines3's PPO over CartPoles of many lengths; PEC chooses the pole of each next episode.
 
-    python examples/stable_baselines3_cartpole.py    (after pip install stable-baselines3)
+    python examples/stable_baselines3_cartpole.py    (after pip install -e ".[stable-baselines3]")
 
 All environments are in this process, as `make_vec_env` has them, and share one chooser.
 """
