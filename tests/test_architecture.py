@@ -147,3 +147,4 @@ def test_what_the_public_objects_hold(scene):
 def test_the_version_is_the_distributions():
     text = (ROOT / "pyproject.toml").read_text()
     assert f'version = "{pecjax.__version__}"' in text
+    assert f"\nversion: {pecjax.__version__}\n" in (ROOT / "CITATION.cff").read_text()
