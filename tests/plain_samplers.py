@@ -134,14 +134,15 @@ def return_of(length, failed):
     return length / 30 - failed
 
 
-def plr(history, number, replay, staleness, temperature, rank, regret=False):
+def plr(history, number, replay, staleness, temperature, rank, score_of=lambda signal, best, solved: signal):
     score, last, history = {}, {}, [batch for batch in history if batch]
     for now, batch in enumerate(history):
         for n in range(number):
             for _, signal in trials_of(batch, n)[:1]:
                 until_now = [row for batch in history[: now + 1] for row in batch if row[0] == n]
                 best = max(return_of(length, failed) for _, failed, length, _ in until_now)
-                score[n], last[n] = max(best - signal if regret else signal, 0.0), now
+                solved = not all(failed for _, failed, *_ in until_now)
+                score[n], last[n] = max(score_of(signal, best, solved), 0.0), now
     if not score:
         return np.full(number, 1 / number)
     seen = sorted(score)

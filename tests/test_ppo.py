@@ -413,13 +413,19 @@ def hear(agent_settings, batches):
 
 def test_a_sampler_hears_the_mean_advantage_of_every_episode():
     """What is positive and what is negative of it add up to its absolute value, across batches too."""
-    kinds = ("positive_value_loss", "negative_value_loss", "value_loss")
+    kinds = (
+        "positive_value_loss",
+        "negative_value_loss",
+        "value_loss",
+        "maximised_negative_advantage",
+    )
     short = replace(SMALL, num_steps=4)  # episodes take several batches
     heard = [hear(replace(short, signal=kind), batches=6)[0] for kind in kinds]
     lengths, fell = [], False
-    for (up, done, length), (down, *_), (both, *_) in zip(*heard, strict=True):
+    for (up, done, length), (down, *_), (both, *_), (kept, *_) in zip(*heard, strict=True):
         np.testing.assert_allclose((up + down)[done], both[done], rtol=1e-4, atol=1e-7)
         assert (up[done] >= 0).all() and (down[done] >= 0).all()
+        assert (kept[done] >= down[done] - 1e-6).all()
         fell |= (down[done] > 0).any()
         lengths.extend(length[done])
     assert max(lengths) > 4 and fell

@@ -9,7 +9,13 @@ import pytest
 import rlax
 from scipy.signal import lfilter
 
-from pecjax.agents.returns import generalized_advantage, n_step_return, with_bootstrap
+from pecjax.agents.returns import (
+    generalized_advantage,
+    maximised_negative_advantage,
+    n_step_return,
+    td_errors,
+    with_bootstrap,
+)
 
 STEPS, ENVS = 37, 5
 
@@ -64,6 +70,44 @@ def test_an_ending_pays_its_reward_and_nothing_after_it():
     after = generalized_advantage(later_rewards, later_values[:-1], dones, later_values[-1], 0.99, 0.95)
     np.testing.assert_array_equal(before[:11], after[:11])
     assert np.all(before[11:] != after[11:])
+
+
+def plain_mna(errors, dones, discount, gae_lambda):
+    """By the code of Mead et al. 2026, read and written anew for one environment: a loop from every step."""
+    found = np.zeros(len(errors))
+    for start in range(len(errors)):
+        lost = 0.0
+        for age, error in enumerate(errors[start:]):
+            lost = min(lost + discount**age * error, 0.0)
+            is_over = dones[start + age] or start + age == len(errors) - 1
+            share = gae_lambda**age if is_over else (1 - gae_lambda) * gae_lambda**age
+            found[start] -= share * lost
+            if is_over:
+                break
+    return found
+
+
+@pytest.mark.parametrize("done_ratio", [0.0, 0.15, 1.0])
+@pytest.mark.parametrize(("discount", "gae_lambda"), [(0.99, 0.95), (0.9, 1.0), (0.99, 0.0)])
+def test_the_maximised_negative_advantage_is_that_of_its_authors(done_ratio, discount, gae_lambda):
+    rewards, values, dones = batch(4, done_ratio)
+    errors = td_errors(rewards, values[:-1], dones, values[-1], discount)
+    ours = maximised_negative_advantage(errors, dones, discount, gae_lambda)
+    theirs = [
+        plain_mna(*rows, discount, gae_lambda) for rows in zip(np.float64(errors).T, dones.T, strict=True)
+    ]
+    np.testing.assert_allclose(ours, np.transpose(theirs), rtol=1e-5, atol=1e-3)
+    advantage = generalized_advantage(rewards, values[:-1], dones, values[-1], discount, gae_lambda)
+    assert (ours >= -advantage - 1e-3).all()
+
+
+def test_where_all_is_lost_it_is_the_advantage_taken_negative():
+    rewards, values, dones = batch(5, 0.1)
+    rewards -= 1000
+    errors = td_errors(rewards, values[:-1], dones, values[-1], 0.99)
+    ours = maximised_negative_advantage(errors, dones, 0.99, 0.95)
+    advantage = generalized_advantage(rewards, values[:-1], dones, values[-1], 0.99, 0.95)
+    np.testing.assert_allclose(ours, -advantage, rtol=1e-4)
 
 
 def test_the_step_limit_of_the_rooms_is_such_an_ending(env):

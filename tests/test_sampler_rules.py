@@ -55,7 +55,11 @@ RULES = {
     ),
     "plr, max_mc": (
         c.plr(N, 0.6, 0.3, 0.5, rank=False, score="max_mc"),
-        lambda h: plain.plr(h, N, 0.6, 0.3, 0.5, rank=False, regret=True),
+        lambda h: plain.plr(h, N, 0.6, 0.3, 0.5, False, lambda signal, best, solved: best - signal),
+    ),
+    "plr, solved_signal": (
+        c.plr(N, 0.6, 0.3, 0.5, rank=False, score="solved_signal"),
+        lambda h: plain.plr(h, N, 0.6, 0.3, 0.5, False, lambda signal, best, solved: signal * solved),
     ),
     "sfl": (c.sfl(N, 1.5, 2.0, 0.4, 0.5), lambda h: plain.sfl(h, N, 1.5, 2.0, 0.4, 0.5)),
     "per_step": (c.per_step(c.pec(N, 0.2)), lambda h: plain.per_step(h, N, 0.2)),

@@ -30,9 +30,8 @@ def generalized_advantage(
         (T, B); add `values` for the value targets. Oracle:
         `rlax.truncated_generalized_advantage_estimation`.
     """
-    next_values = jnp.concatenate([values[1:], last_value[None]])
     going_on = discount * (1 - dones)
-    deltas = rewards + going_on * next_values - values
+    deltas = td_errors(rewards, values, dones, last_value, discount)
 
     def step(advantage: jax.Array, row: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         delta, carry_on = row
@@ -40,6 +39,48 @@ def generalized_advantage(
         return advantage, advantage
 
     return jax.lax.scan(step, jnp.zeros_like(last_value), (deltas, going_on), reverse=True)[1]
+
+
+def td_errors(
+    rewards: jax.Array, values: jax.Array, dones: jax.Array, last_value: jax.Array, discount: float
+) -> jax.Array:
+    """δ_t = r_t + γ (1 − d_t) V_{t+1} − V_t, (T, B), as in `generalized_advantage`."""
+    next_values = jnp.concatenate([values[1:], last_value[None]])
+    return rewards + discount * (1 - dones) * next_values - values
+
+
+def maximised_negative_advantage(
+    errors: jax.Array, dones: jax.Array, discount: float, gae_lambda: float
+) -> jax.Array:
+    """How much was lost after each step, had the best that came between been kept (Mead et al. 2026).
+
+        −(1 − λ) Σ_i λ^i D_{t, t+i},   D_{t, k} = min(D_{t, k−1} + γ^{k−t} δ_k, 0),   D_{t, t−1} = 0
+
+    where D stays as it is after an ending. Without the minimum it would be the generalized advantage,
+    taken negative. Takes O(T²).
+
+    Args:
+        errors, dones: (T, B), the errors those of `td_errors`.
+
+    Returns:
+        (T, B), 0 or more.
+    """
+    starts = jnp.arange(len(errors))[:, None]
+
+    def step(carry: tuple[jax.Array, ...], row: tuple[jax.Array, ...]) -> tuple[tuple[jax.Array, ...], None]:
+        total, lost, is_over = carry
+        now, error, done = row
+        begun = starts <= now
+        age = jnp.maximum(now - starts, 0)
+        changed = jnp.minimum(lost + discount**age * error, 0.0)
+        lost = jnp.where(begun & ~is_over, changed, lost)
+        total = total + jnp.where(begun, (1 - gae_lambda) * gae_lambda**age * lost, 0.0)
+        return (total, lost, is_over | (begun & (done > 0))), None
+
+    nothing = jnp.zeros_like(errors)
+    rows = (jnp.arange(len(errors)), errors, dones)
+    (total, lost, _), _ = jax.lax.scan(step, (nothing, nothing, jnp.zeros(errors.shape, bool)), rows)
+    return -(total + gae_lambda ** (len(errors) - starts) * lost)
 
 
 def with_bootstrap(rewards: jax.Array, bootstrap: jax.Array | None, discount: float) -> jax.Array:

@@ -14,7 +14,7 @@ from pecjax.curriculum.statistics import from_statistics, ids_in_batch, learn_al
 from pecjax.errors import InputError
 
 MOST_RANKED = 100_000  # configurations that are sorted for every draw
-Score = Literal["signal", "max_mc"]
+Score = Literal["signal", "max_mc", "solved_signal"]
 UNSEEN = -1  # in place of the batch that it was last seen in
 
 
@@ -27,8 +27,9 @@ class PLR(SamplerSettings):
         staleness: share of the replays that go by age.
         temperature: of the scores; the larger, the nearer to uniform.
         rank: whether scores count by rank, else in proportion.
-        score: the learner's signal itself, or `max_mc`, the regret beside the best return so far, for which
-            the signal is to be the mean value (`--agent.signal value`).
+        score: the learner's signal itself; or `max_mc`, the regret beside the best return so far, for which
+            the signal is to be the mean value (`--agent.signal value`); or `solved_signal`, the signal where
+            an episode has ever succeeded, else 0.
     """
 
     replay: float = 0.5
@@ -49,7 +50,8 @@ class Seen(NamedTuple):
         score: (N,) float32, of the last batch with episodes of it; 0 or more.
         last: (N,) int32, the number of that batch; `UNSEEN` where there was none.
         batch: () int32, how many batches with an episode there have been.
-        best: (N,) float32, the highest return of an episode of it; None where the score is the signal.
+        best: (N,) float32, the highest return of an episode of it by `max_mc`, 1 or 0 for whether one has
+            succeeded by `solved_signal`; None where the score is the signal.
     """
 
     score: jax.Array
@@ -64,7 +66,7 @@ class Heard(NamedTuple):
     Attributes:
         trials: (N,) int32, episodes that ended.
         signal: (N,) float32, the sum of their signals.
-        best: (N,) float32, the highest of their returns; None where the score is the signal.
+        best: (N,) float32, the highest of their returns, or of their successes, as in `Seen`.
         ids: as `ids_in_batch` has them.
     """
 
@@ -91,7 +93,9 @@ def plr(
     it was last seen in. When nothing is unseen, all is replayed. Scores are means over a batch's episodes of
     their `signal`, such as the mean positive advantage; or by `max_mc` (Jiang et al. 2021, "Replay-guided
     adversarial environment design") of R - signal, with the highest return R that an episode of the
-    configuration has had, and the mean value of its steps as signal. Below 0 they count as 0.
+    configuration has had, and the mean value of its steps as signal; or by `solved_signal` 0 as long as no
+    episode of the configuration has succeeded (with `--agent.signal maximised_negative_advantage` the MNA of
+    Mead et al. 2026). Below 0 they count as 0.
 
     Raises:
         InputError: fewer than one configuration, more than `MOST_RANKED` by rank, or a number out of its
@@ -106,9 +110,9 @@ def plr(
             "draw: take the proportional form (rank False)"
         )
 
-    best = jnp.full(num_configs, -jnp.inf) if score == "max_mc" else None
-
     def begin() -> Seen:
+        worst = {"max_mc": -jnp.inf, "solved_signal": 0.0}
+        best = jnp.full(num_configs, worst[score]) if score in worst else None
         return Seen(jnp.zeros(num_configs), jnp.full(num_configs, UNSEEN, jnp.int32), jnp.int32(0), best)
 
     def learn(seen: Seen, heard: Heard, _: Numbers) -> Seen:
@@ -117,14 +121,14 @@ def plr(
             found = signal / jnp.maximum(trials, 1)
             if best is not None:
                 best = jnp.maximum(best, highest)
-                found = best - found
+                found = best - found if score == "max_mc" else best * found
             tried = trials > 0
             return jnp.where(tried, jnp.maximum(found, 0.0), before), jnp.where(tried, seen.batch, last), best
 
-        score, last, best = learn_alone(
+        scores, last, best = learn_alone(
             of_each, (seen.score, seen.last, seen.best), (heard.trials, heard.signal, heard.best), heard.ids
         )
-        return Seen(score, last, seen.batch + heard.trials.any(), best)
+        return Seen(scores, last, seen.batch + heard.trials.any(), best)
 
     def weight(seen: Seen, numbers: Numbers) -> jax.Array:
         is_seen, share = seen.last != UNSEEN, numbers["staleness"]
@@ -141,10 +145,12 @@ def plr(
         return jnp.where(is_seen, replayed, (1 - chance) / jnp.maximum(unseen, 1))
 
     def hear(outcomes: Outcomes, number: int, axis_name: str | None) -> Heard:
-        trials = count_outcomes(outcomes, number, axis_name)[0]
+        trials, failures = count_outcomes(outcomes, number, axis_name)
         signal, highest = by_config(outcomes, "signal", number, "sum", axis_name), None
         if score == "max_mc":
             highest = by_config(outcomes, "episode_return", number, "max", axis_name)
+        elif score == "solved_signal":
+            highest = (failures < trials).astype(jnp.float32)
         return Heard(trials, signal, highest, ids_in_batch(outcomes, number, axis_name))
 
     numbers = {"replay": replay, "staleness": staleness, "temperature": temperature}

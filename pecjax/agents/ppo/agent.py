@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -15,6 +15,7 @@ from pecjax.agents.metrics import Metrics, are_finite, summarize
 from pecjax.agents.networks import ActorCritic, forward
 from pecjax.agents.observations import encode, image_shapes
 from pecjax.agents.ppo.settings import PPO
+from pecjax.agents.ppo.signals import step_signal
 from pecjax.agents.ppo.update import Learner, make_optimizer, prepare, update
 from pecjax.agents.rollout import Policy, init_rollout, rollout
 from pecjax.agents.sharding import global_ids
@@ -22,15 +23,6 @@ from pecjax.curriculum.base import Sampler, count_outcomes
 from pecjax.curriculum.diagnostics import diagnose
 from pecjax.envs.task import Task, World, num_configs
 from pecjax.errors import InputError
-
-# (advantage, value) of a step -> what it tells a sampler (Jiang et al. 2021, "Prioritized level replay", and
-# "Replay-guided adversarial environment design" for the positive part and for the value).
-SIGNALS: dict[str, Callable[[jax.Array, jax.Array], jax.Array]] = {
-    "positive_value_loss": lambda advantage, value: jnp.maximum(advantage, 0.0),
-    "value_loss": lambda advantage, value: jnp.abs(advantage),
-    "negative_value_loss": lambda advantage, value: jnp.maximum(-advantage, 0.0),
-    "value": lambda advantage, value: value,
-}
 
 
 def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = None) -> Agent:
@@ -77,11 +69,12 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
             global_ids(state.envs.running.length.shape[0], axis_name),
             settings.num_steps,
         )
-        batch = prepare(settings, trajectory, value(envs.obs), axis_name)
+        last_value = value(envs.obs)
+        batch = prepare(settings, trajectory, last_value, axis_name)
         learner, losses = update(
             network, distribution, optimizer, settings, learner, batch, key_update, axis_name
         )
-        scores = SIGNALS[settings.signal](batch.target - batch.value, batch.value) / settings.reward_scale
+        scores = step_signal(settings, trajectory, batch, last_value)
         sums, left = sum_over_episodes(state.envs.running.score, scores, trajectory.done)
         envs = envs._replace(running=envs.running._replace(score=left))
         outcomes = episodes.outcomes._replace(signal=sums / episodes.outcomes.length)

@@ -11,7 +11,9 @@ from pecjax.curriculum.base import Sampler
 from pecjax.envs.task import Task
 from pecjax.errors import InputError
 
-Signal = Literal["positive_value_loss", "value_loss", "negative_value_loss", "value"]
+Signal = Literal[
+    "positive_value_loss", "value_loss", "negative_value_loss", "maximised_negative_advantage", "value"
+]
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,8 @@ class PPO(AgentSettings):
             each iteration: × 1.5 over 2 × `kl_target`, × 0.5 under half of it.
         reward_scale: what rewards are multiplied with for the learner.
         signal: what a sampler hears of each episode, in units of the reward: the mean over its steps of the
-            advantage where it is positive, of its absolute value, of how far it is negative, or of the value.
+            advantage where it is positive, of its absolute value, of how far it is negative, of how far it is
+            negative with the best in between kept, or of the value.
         network: of actor and critic.
     """
 
@@ -52,9 +55,7 @@ class PPO(AgentSettings):
     kl_coeff: float | None = None
     kl_target: float = 0.01
     reward_scale: float = 1e-3
-    signal: Literal["positive_value_loss", "value_loss", "negative_value_loss", "value"] = (
-        "positive_value_loss"
-    )
+    signal: Signal = "positive_value_loss"
     network: NetworkSettings = field(default_factory=NetworkSettings)
 
     @property

@@ -55,9 +55,8 @@ def make_optimizer(settings: PPO) -> optax.GradientTransformation:
 def prepare(settings: PPO, trajectory: Trajectory, last_value: jax.Array, axis_name: str | None) -> Batch:
     """Advantages, standardised over the whole batch, and value targets; leaves (T, B, …)."""
     features, drawn, params, value = trajectory.extras
-    reward = trajectory.reward * settings.reward_scale
     advantage = generalized_advantage(
-        with_bootstrap(reward, trajectory.bootstrap, settings.discount),
+        scaled_reward(settings, trajectory),
         value,
         trajectory.done,
         last_value,
@@ -69,6 +68,12 @@ def prepare(settings: PPO, trajectory: Trajectory, last_value: jax.Array, axis_n
     deviation = jnp.sqrt(device_mean(jnp.square(advantage - mean).mean(), axis_name))
     advantage = (advantage - mean) / jnp.maximum(1e-4, deviation)
     return Batch(features, drawn, params, value, advantage, target)
+
+
+def scaled_reward(settings: PPO, trajectory: Trajectory) -> jax.Array:
+    """Rewards (T, B) as the learner has them, with the value of what a cut left out."""
+    reward = trajectory.reward * settings.reward_scale
+    return with_bootstrap(reward, trajectory.bootstrap, settings.discount)
 
 
 def loss(
