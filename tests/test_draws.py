@@ -19,7 +19,7 @@ def rare_failures(size=MILLION, alpha=0.001, failing=0.01):
     failed = np.random.default_rng(0).random(size) < failing
     counts = jnp.asarray(np.stack([np.ones(size), failed]), jnp.int32)
     priority = failed + alpha
-    return pec(size, alpha).init()._replace(counts=counts), priority / priority.sum()
+    return pec(size, alpha).init()._replace(statistics=counts), priority / priority.sum()
 
 
 def counts_of_draws(sampler, state, batches, batch=2**18):
