@@ -115,7 +115,8 @@ def replace_at(tree: T, path: str, value: Any) -> T:
     """The tree with a value, of the right type, in the place of what a dotted path leads to."""
     first, _, rest = path.partition(".")
     inner = replace_at(getattr(tree, first), rest, value) if rest else value
-    return dataclasses.replace(tree, **{first: inner})  # type: ignore[type-var]
+    changed: Any = tree  # a dataclass, which a type variable cannot be bound to
+    return dataclasses.replace(changed, **{first: inner})
 
 
 def to_json(tree: Any, declared: Any = None) -> Any:

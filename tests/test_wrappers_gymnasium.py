@@ -11,20 +11,16 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import data_equivalence
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers import RecordEpisodeStatistics
 from scipy import stats
+from tiny_gymnasium import Countdown
 
 from pecjax.curriculum import Outcomes, pec, per_step, uniform
 from pecjax.curriculum.wrappers.chooser import Chooser
+from pecjax.curriculum.wrappers.gymnasium import CurriculumVectorWrapper, CurriculumWrapper
 from pecjax.errors import InputError
-
-gymnasium = pytest.importorskip("gymnasium")
-
-from gymnasium.utils.env_checker import data_equivalence  # noqa: E402
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv  # noqa: E402
-from gymnasium.wrappers import RecordEpisodeStatistics  # noqa: E402
-from tiny_gymnasium import Countdown  # noqa: E402
-
-from pecjax.curriculum.wrappers.gymnasium import CurriculumVectorWrapper, CurriculumWrapper  # noqa: E402
 
 N, B = 6, 5
 LENGTH = np.array([1, 2, 3, 4, 7, 2])

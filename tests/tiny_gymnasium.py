@@ -1,5 +1,7 @@
 """An environment of Gymnasium whose episodes are known beforehand; light, for processes of its own."""
 
+from typing import ClassVar
+
 import gymnasium
 import numpy as np
 from gymnasium import spaces
@@ -11,7 +13,7 @@ class Countdown(gymnasium.Env):
     It shows how many steps there have been, and from where it counted.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012
+    metadata: ClassVar = {"render_modes": []}
 
     def __init__(self, extra=0, default=None):
         self.extra, self.default = extra, default

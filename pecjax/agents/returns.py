@@ -52,12 +52,13 @@ def td_errors(
 def maximised_negative_advantage(
     errors: jax.Array, dones: jax.Array, discount: float, gae_lambda: float
 ) -> jax.Array:
-    """How much was lost after each step, had the best that came between been kept (Mead et al. 2026).
+    """How much was lost after each step, had the best that came between been kept.
 
         −(1 − λ) Σ_i λ^i D_{t, t+i},   D_{t, k} = min(D_{t, k−1} + γ^{k−t} δ_k, 0),   D_{t, t−1} = 0
 
     where D stays as it is after an ending. Without the minimum it would be the generalized advantage,
-    taken negative. Takes O(T²).
+    taken negative. Takes O(T²). MNA of Mead et al. 2026, "Improving regret approximation for unsupervised
+    dynamic environment generation", as their code has it.
 
     Args:
         errors, dones: (T, B), the errors those of `td_errors`.

@@ -58,7 +58,7 @@ def apply(settings: RunSettings, words: Sequence[str], command: type) -> RunSett
 
 
 def _choose_kinds(settings: RunSettings, words: Sequence[str]) -> tuple[RunSettings, list[str]]:
-    """Puts a kind at every path that has one, such as `--sampler.sampler uniform`; what else is said remains.
+    """Puts a kind at every path that has one, such as `--sampler.sampler uniform`; other options stay.
 
     Raises:
         InputError: no name follows, or there is no kind of it.
