@@ -172,10 +172,19 @@ def nearest(word: str, known: list[str]) -> str:
 
 
 def _only_kind(module: str, base: type[T]) -> type[T] | None:
-    """The kind that a module defines, if it defines just one."""
+    """The kind that a module defines, if it defines just one.
+
+    A module that needs a library of an extra, which is not installed, is passed over.
+    """
+    try:
+        content = vars(importlib.import_module(module))
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] == module.partition(".")[0]:
+            raise
+        return None
     kinds = [
         value
-        for value in vars(importlib.import_module(module)).values()
+        for value in content.values()
         if isinstance(value, type) and issubclass(value, base)
         if value.__module__ == module or value.__module__.startswith(f"{module}.")
         if not inspect.isabstract(value)

@@ -203,6 +203,14 @@ def test_agents_and_tasks_that_cannot_be_had(slot, name, words):
         make_kind(slot, name)
 
 
+def test_modules_that_need_an_extra_are_passed_over(monkeypatch):
+    for library, module in [("gymnax", "as_gymnax"), ("gymnasium", "as_gymnasium")]:
+        monkeypatch.setitem(sys.modules, library, None)  # as if it were not installed
+        monkeypatch.delitem(sys.modules, f"pecjax.envs.{module}", raising=False)
+    with pytest.raises(InputError, match=r"unknown task 'room' \(did you mean rooms\?\); choose one of rooms, or"):
+        make_kind("task", "room")
+
+
 def test_a_module_that_fails_when_it_is_imported(tmp_path, monkeypatch):
     (tmp_path / "failing.py").write_text("1 / 0\n")
     monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path)])
