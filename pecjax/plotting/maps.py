@@ -18,7 +18,8 @@ from pecjax.envs.axes import fill
 from pecjax.envs.rooms.config import Configurations
 from pecjax.envs.rooms.rules import NavigationSettings
 from pecjax.envs.rooms.scene import Scene
-from pecjax.plotting.style import FAILURES, GOAL, PATH
+from pecjax.plotting.flights import ENDINGS, draw_flights
+from pecjax.plotting.style import GOAL, PAGE, name_place, styled
 
 Place = tuple[float, float]  # m
 
@@ -31,11 +32,12 @@ PASSED: dict[str, Any] = {
     "linewidth": 0.6,
     "zorder": 0.8,
 }
+COVER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.8", "linewidth": 0.6, "zorder": 0.6}
 MOST_NAMES = 60  # of configurations; more would hide the map
 MOST_WAYS = 200  # beyond which only configurations with a flight are drawn
-COVER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.8", "linewidth": 0.6, "zorder": 0.6}
 
 
+@styled
 def rooms(
     scene: Scene,
     table: Configurations,
@@ -43,93 +45,81 @@ def rooms(
     rules: NavigationSettings = NavigationSettings(),
     map_id: int = 0,
 ) -> Figure:
-    """The map with its configurations and, if any, flown trajectories (Fig. 2-3).
+    """The map with its configurations or, if there are any, the flights that were flown (Fig. 2-3).
 
     Args:
         scene: one of the task's maps; configurations in others are left out.
-        trajectories: columns episode, config, success, x and y, a row a step.
+        trajectories: columns episode, config, ending (one of `ENDINGS`), x and y, a row a step.
         rules: of the task.
         map_id: the map's place among the task's.
     """
-    figure = Figure((6.4, 6.4), layout="constrained")
+    (left, bottom), (right, top) = scene.map.bounds
+    shape = (top - bottom) / (right - left)
+    figure = Figure((PAGE, float(np.clip(5.0 * shape + 0.4, 2, 7))), layout="constrained")
     axes = figure.subplots()
     floor_plan(axes, scene, rules)
-    if trajectories is not None:
-        for _, path in trajectories.groupby("episode"):
-            reached = path.success.iloc[0] == 1
-            color, alpha = (PATH, 0.7) if reached else (FAILURES, 1)
-            axes.plot(path.x, path.y, color=color, linewidth=0.9, alpha=alpha)
-            if not reached:
-                axes.plot(path.x.iloc[-1], path.y.iloc[-1], "x", color=FAILURES)
-        flights = trajectories.groupby("episode").success.first()
-        axes.set_title(
-            f"{int(flights.sum())} of {len(flights)} flights reach their goal (× where one ends otherwise)",
-            fontsize=9,
-        )
     ways = _ways(table, map_id)
-    if trajectories is not None and len(ways) > MOST_WAYS:
-        ways = {row: ways[row] for row in sorted(set(trajectories.config)) if row in ways}
-    for start, goal in ways.values():
-        way = {"linestyle": ":", "linewidth": 0.6, "color": "0.6", "shrinkA": 0, "shrinkB": 3}
-        axes.add_patch(FancyArrowPatch(start, goal, arrowstyle="-|>", mutation_scale=7, zorder=1, **way))
-    _places(axes, ways, rules)
-    entries = _legend(axes, trajectories, rules)
-    figure.legend(handles=entries, loc="outside lower center", ncols=3, fontsize=8, columnspacing=1)
+    if trajectories is None:
+        for start, goal in ways.values():
+            way = {"linestyle": ":", "linewidth": 0.7, "color": "0.5", "shrinkA": 0, "shrinkB": 3}
+            axes.add_patch(FancyArrowPatch(start, goal, arrowstyle="-|>", mutation_scale=7, zorder=1, **way))
+    else:
+        draw_flights(axes, trajectories)
+        if len(ways) > MOST_WAYS:
+            ways = {row: ways[row] for row in sorted(set(trajectories.config)) if row in ways}
+    _places(axes, ways, rules, named=trajectories is None)
+    figure.legend(handles=_legend(axes, trajectories, rules), loc="outside right upper")
     return figure
 
 
 def _legend(axes: Axes, trajectories: pd.DataFrame | None, rules: NavigationSettings) -> list[Artist]:
     """An entry for each kind of thing that the map shows."""
-    radius = rules.goal_radius
     ring = {"marker": "o", "markersize": 9, "markerfacecolor": "none", "linestyle": ""}
     entries: list[Artist] = [
-        Line2D([], [], color=GOAL, marker="o", markersize=5, linestyle="", label="start"),
-        Line2D([], [], color=GOAL, **ring, label=f"goal, reached within {radius:g} m"),
-        Line2D([], [], color="0.6", linestyle=":", label="from start to goal"),
+        Line2D([], [], color=GOAL, marker="o", markersize=4, linestyle="", label="Start"),
+        Line2D([], [], color=GOAL, **ring, label=f"Goal, reached within {rules.goal_radius:g} m"),
     ]
-    if trajectories is not None:
-        if (trajectories.success == 1).any():
-            entries.append(Line2D([], [], color=PATH, label="flight that reached its goal"))
-        if (trajectories.success != 1).any():
-            entries.append(Line2D([], [], color=FAILURES, marker="x", label="flight that ended otherwise"))
+    if trajectories is None:
+        entries.append(Line2D([], [], color="0.5", linestyle=":", label="From start to goal"))
+    else:
+        entries += [about.entry() for kind, about in ENDINGS.items() if kind in set(trajectories.ending)]
+    entries.append(Patch(**SOLID, label="Wall"))
     if any(patch.get_hatch() for patch in axes.patches):
-        entries.append(Patch(**PASSED, label="wall below or above flights"))
+        entries.append(Patch(**PASSED, label="Wall below or above flights"))
     return entries
 
 
 def success(
-    axes: Axes, scene: Scene, table: Configurations, ratios: np.ndarray, rules: NavigationSettings
+    axes: Axes,
+    scene: Scene,
+    table: Configurations,
+    ratios: np.ndarray,
+    rules: NavigationSettings,
+    low: float = 0,
 ) -> ScalarMappable:
-    """The map with a line for every configuration, coloured by its goal ratio, the lower the broader.
+    """The map with an arrow for every configuration, coloured by its goal ratio, the lower the broader.
 
     A pair and its reverse bend apart, each to the right of its way.
 
     Args:
         scene: the first of the task's maps.
         ratios: (N,), of all configurations.
+        low: the ratio at which the colours begin.
 
     Returns:
         what a colour bar needs.
     """
-    colors = LinearSegmentedColormap.from_list("dark", viridis(np.linspace(0, 0.85, 64)))
-    shade = ScalarMappable(Normalize(0.5, 1), colors)
+    colors = LinearSegmentedColormap.from_list("dark", viridis(np.linspace(0, 0.9, 64)))
+    shade = ScalarMappable(Normalize(low, 1), colors)
     floor_plan(axes, scene, rules)
     ways = _ways(table)
-    for row, (start, goal) in ways.items():
-        ratio = ratios[row]
-        arrow = FancyArrowPatch(
-            start,
-            goal,
-            connectionstyle="arc3,rad=0.12",
-            arrowstyle="-|>",
-            mutation_scale=8,
-            shrinkA=4,
-            shrinkB=4,
-            linewidth=1.2 + 4 * (1 - ratio),
-            color=shade.to_rgba(ratio),
-        )
-        axes.add_patch(arrow)
-    _places(axes, ways, rules)
+    for row in sorted(ways, key=lambda row: -ratios[row]):  # the lowest lie on top
+        start, goal = ways[row]
+        width = 0.8 + 1.6 * (1 - ratios[row]) / (1 - low)
+        style = {"connectionstyle": "arc3,rad=0.12", "arrowstyle": "-|>", "mutation_scale": 6}
+        ends = {"shrinkA": 3, "shrinkB": 3, "linewidth": width, "color": shade.to_rgba(ratios[row])}
+        axes.add_patch(FancyArrowPatch(start, goal, **style, **ends, zorder=2))
+    _places(axes, ways, rules, named=True)
     return shade
 
 
@@ -145,6 +135,7 @@ def floor_plan(axes: Axes, scene: Scene, rules: NavigationSettings = NavigationS
         axes.add_patch(Rectangle((x, y), right - x, top - y, **style))
     (left, bottom), (right, top) = limits
     axes.set(xlim=(left, right), ylim=(bottom, top), xlabel="x (m)", ylabel="y (m)", aspect="equal")
+    axes.locator_params(steps=[1, 2, 5, 10])
 
 
 def _wall_style(scene: Scene, height: float, lower: np.ndarray, upper: np.ndarray) -> dict[str, Any]:
@@ -166,17 +157,21 @@ def _ways(table: Configurations, map_id: int = 0) -> dict[int, tuple[Place, Plac
     }
 
 
-def _places(axes: Axes, ways: dict[int, tuple[Place, Place]], rules: NavigationSettings) -> None:
-    """Marks every start by a dot with its configurations, and every goal by the circle to be reached."""
+def _places(
+    axes: Axes, ways: dict[int, tuple[Place, Place]], rules: NavigationSettings, *, named: bool
+) -> None:
+    """Marks every start by a dot, and every goal by the circle to be reached.
+
+    Args:
+        named: writes the configurations beside their start, where they are not too many.
+    """
     starts: dict[Place, list[int]] = {}
     for row, (start, _) in ways.items():
         starts.setdefault(start, []).append(row)
     for place, rows in starts.items():
-        axes.plot(*place, "o", color=GOAL, markersize=5)
-        if len(ways) > MOST_NAMES:
-            continue
-        name = ",".join(f"c{row}" for row in rows)
-        axes.annotate(name, place, textcoords="offset points", xytext=(4, 5), fontsize=7, color=GOAL)
-    for x, y in sorted({goal for _, goal in ways.values()}):
-        radius = rules.goal_radius
-        axes.add_patch(Circle((x, y), radius, facecolor="none", edgecolor=GOAL, linewidth=0.6, zorder=1.5))
+        axes.plot(*place, "o", color=GOAL, markersize=4, markeredgecolor="white", zorder=4)
+        if named and len(ways) <= MOST_NAMES:
+            name_place(axes, ",".join(f"c{row}" for row in rows), place)
+    for goal in sorted({goal for _, goal in ways.values()}):
+        ring = {"facecolor": "none", "edgecolor": GOAL, "linewidth": 0.7, "zorder": 3}
+        axes.add_patch(Circle(goal, rules.goal_radius, **ring))

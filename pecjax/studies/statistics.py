@@ -99,6 +99,11 @@ def trial_and_failure_ratios(counts: pd.DataFrame, within: list[str]) -> pd.Data
     return counts.assign(trial=counts.trials / total, failure=counts.failures / tried)
 
 
+def effective_number(shares: np.ndarray) -> float:
+    """The exponential of the entropy of shares (N,): N where all are alike, 1 where one has everything."""
+    return float(np.exp(stats.entropy(shares)))
+
+
 def paired_difference(values: np.ndarray, baseline: np.ndarray) -> Interval:
     """Mean of values - baseline, pair by pair, with its bootstrap 95 % interval."""
     return interval(values - baseline, np.mean)

@@ -83,20 +83,25 @@ def only(result: EvalResult, chosen: np.ndarray) -> EvalResult:
     return EvalResult(*(leaf[chosen] for leaf in result[:4]), metrics=metrics, paths=paths)
 
 
+def wilson(successes: int, episodes: int) -> tuple[float, float]:
+    """The 95 % interval of a ratio of independent successes (Wilson 1927)."""
+    interval = stats.binomtest(successes, episodes).proportion_ci(CONFIDENCE, "wilson")
+    return float(interval.low), float(interval.high)
+
+
 def figures_of(result: EvalResult, about: EvalSet, num_configs: int) -> dict[str, Any]:
-    """The figures of some episodes, with the 95 % interval of their goal ratio (Wilson 1927).
+    """The figures of some episodes, with the 95 % interval of their goal ratio.
 
     The interval is over these episodes as they were drawn, not over trainings.
     """
     episodes, successes = len(result.success), int(result.success.sum())
     if not episodes:
         return {"episodes": 0}
-    interval = stats.binomtest(successes, episodes).proportion_ci(CONFIDENCE, "wilson")
     metrics = {name: float(value.mean()) for name, value in sorted(result.metrics.items())}
     return {
         "episodes": episodes,
         "goal_ratio": successes / episodes,
-        "interval": [float(interval.low), float(interval.high)],
+        "interval": list(wilson(successes, episodes)),
         "spl": spl(result, about),
         "cvar": unbiased_cvar(result, num_configs),
         "steps_to_goal": float(result.lengths[result.success].mean()) if successes else None,
