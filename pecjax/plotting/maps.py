@@ -8,8 +8,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable, viridis
-from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch, Patch, Rectangle
@@ -58,7 +56,7 @@ def rooms(
     figure = Figure((PAGE, float(np.clip(5.0 * shape + 0.4, 2, 7))), layout="constrained")
     axes = figure.subplots()
     floor_plan(axes, scene, rules)
-    ways = _ways(table, map_id)
+    ways = ways_of(table, map_id)
     if trajectories is None:
         for start, goal in ways.values():
             way = {"linestyle": ":", "linewidth": 0.7, "color": "0.5", "shrinkA": 0, "shrinkB": 3}
@@ -67,7 +65,7 @@ def rooms(
         draw_flights(axes, trajectories)
         if len(ways) > MOST_WAYS:
             ways = {row: ways[row] for row in sorted(set(trajectories.config)) if row in ways}
-    _places(axes, ways, rules, named=trajectories is None)
+    draw_places(axes, ways, rules, named=trajectories is None)
     figure.legend(handles=_legend(axes, trajectories, rules), loc="outside right upper")
     return figure
 
@@ -87,40 +85,6 @@ def _legend(axes: Axes, trajectories: pd.DataFrame | None, rules: NavigationSett
     if any(patch.get_hatch() for patch in axes.patches):
         entries.append(Patch(**PASSED, label="Wall below or above flights"))
     return entries
-
-
-def success(
-    axes: Axes,
-    scene: Scene,
-    table: Configurations,
-    ratios: np.ndarray,
-    rules: NavigationSettings,
-    low: float = 0,
-) -> ScalarMappable:
-    """The map with an arrow for every configuration, coloured by its goal ratio, the lower the broader.
-
-    A pair and its reverse bend apart, each to the right of its way.
-
-    Args:
-        scene: the first of the task's maps.
-        ratios: (N,), of all configurations.
-        low: the ratio at which the colours begin.
-
-    Returns:
-        what a colour bar needs.
-    """
-    colors = LinearSegmentedColormap.from_list("dark", viridis(np.linspace(0, 0.9, 64)))
-    shade = ScalarMappable(Normalize(low, 1), colors)
-    floor_plan(axes, scene, rules)
-    ways = _ways(table)
-    for row in sorted(ways, key=lambda row: -ratios[row]):  # the lowest lie on top
-        start, goal = ways[row]
-        width = 0.8 + 1.6 * (1 - ratios[row]) / (1 - low)
-        style = {"connectionstyle": "arc3,rad=0.12", "arrowstyle": "-|>", "mutation_scale": 6}
-        ends = {"shrinkA": 3, "shrinkB": 3, "linewidth": width, "color": shade.to_rgba(ratios[row])}
-        axes.add_patch(FancyArrowPatch(start, goal, **style, **ends, zorder=2))
-    _places(axes, ways, rules, named=True)
-    return shade
 
 
 def floor_plan(axes: Axes, scene: Scene, rules: NavigationSettings = NavigationSettings()) -> None:
@@ -147,7 +111,7 @@ def _wall_style(scene: Scene, height: float, lower: np.ndarray, upper: np.ndarra
     return COVER if covered > 0.5 else PASSED
 
 
-def _ways(table: Configurations, map_id: int = 0) -> dict[int, tuple[Place, Place]]:
+def ways_of(table: Configurations, map_id: int = 0) -> dict[int, tuple[Place, Place]]:
     """Start and goal of each configuration in one map, by its number."""
     rows = np.flatnonzero(np.asarray(fill(table).map_id) == map_id)
     starts, goals = (np.asarray(part)[rows].tolist() for part in (table.start, table.goal))
@@ -157,7 +121,7 @@ def _ways(table: Configurations, map_id: int = 0) -> dict[int, tuple[Place, Plac
     }
 
 
-def _places(
+def draw_places(
     axes: Axes, ways: dict[int, tuple[Place, Place]], rules: NavigationSettings, *, named: bool
 ) -> None:
     """Marks every start by a dot, and every goal by the circle to be reached.

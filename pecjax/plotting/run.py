@@ -102,6 +102,14 @@ def _wilson(ratios: pd.Series, episodes: int) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
+def _mean_interval(values: np.ndarray) -> tuple[float, float]:
+    """The 95 % interval of a mean by Student's t; NaN below two values."""
+    if len(values) < 2:
+        return float("nan"), float("nan")
+    half = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
+    return float(values.mean() - half), float(values.mean() + half)
+
+
 @styled
 def goal_ratio(metrics: pd.DataFrame, evaluation: pd.DataFrame, episodes: int, greedy: bool) -> Figure:
     """Goal ratio against iteration, in training and on the uniform evaluation (Fig. 4)."""
@@ -111,7 +119,7 @@ def goal_ratio(metrics: pd.DataFrame, evaluation: pd.DataFrame, episodes: int, g
     smooth = metrics.goal_ratio.rolling(SMOOTHED_ITERATIONS, center=True, min_periods=1).mean()
     line = {"color": TRIALS, "linewidth": 0.6, "label": "Training, every iteration"}
     axes.plot(metrics.iteration, metrics.goal_ratio, **line)
-    label = f"Training, mean of the {SMOOTHED_ITERATIONS} iterations around"
+    label = f"Training, centred mean of {SMOOTHED_ITERATIONS} iterations"
     axes.plot(metrics.iteration, smooth, color=PATH, label=label)
     low, high = _wilson(evaluation.goal_ratio, episodes)
     errors = np.clip([evaluation.goal_ratio - low, high - evaluation.goal_ratio], 0, None)
@@ -171,7 +179,7 @@ def evaluations(
     left.plot(evaluation.iteration, evaluation.goal_ratio, "o-", color=PATH, label="Goal ratio")
     left.set(ylabel="Goal ratio", ylim=RATIO_LIMITS)
     if returns:
-        ends = np.array([stats.t.interval(0.95, len(x) - 1, x.mean(), stats.sem(x)) for x in returns.values()])
+        ends = np.array([_mean_interval(of_one) for of_one in returns.values()])
         label = f"95 % interval (t), n = {episodes:,} episodes"
         right.fill_between([*returns], *ends.T, color=PATH, **band, label=label)
     right.plot(evaluation.iteration, evaluation.mean_return, "o-", color=PATH, label="Mean return")

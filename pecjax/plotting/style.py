@@ -29,7 +29,7 @@ TRIALS, FAILURES, GOAL, PATH, TIMEOUT = "#9fb8cc", RED, BLACK, BLUE, YELLOW
 SMOOTHED_ITERATIONS = 20  # that a smoothed training goal ratio is the mean of
 RATIO_LIMITS = (-0.02, 1.02)  # of an axis whose marks at 0 and 1 are to be whole
 
-STYLE: dict[str, Any] = {
+STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: a figure looks the same on every machine
     "font.size": 8,
     "axes.titlesize": 8,
@@ -128,7 +128,8 @@ def legend_below(figure: Figure, entries: Sequence[Artist] | None = None, title:
         handles, labels = list(entries), [str(entry.get_label()) for entry in entries]
     width = figure.get_figwidth()
     letters = int((width - _HANDLE) / _LETTER)
-    labels, title = [fill(label, letters) for label in labels], fill(title, letters)
+    labels = [fill(label, letters) for label in labels]
+    title = "\n".join(fill(line, letters) for line in title.splitlines())
     longest = max(len(line) for label in labels for line in label.splitlines())
     rows = -(-len(labels) // max(1, int(width / (_HANDLE + _LETTER * longest))))
     lines = rows * max(label.count("\n") + 1 for label in labels) + len(title.splitlines())
