@@ -74,7 +74,7 @@ def refused(tmp_path, monkeypatch, capsys):
 def test_train_leaves_a_run_and_its_figures(run):
     assert pd.read_csv(run / "metrics.csv").env_steps.tolist() == [256, 512]
     there = {path.suffix for path in (run / "figures").iterdir()}
-    assert there == {".png", ".svg"}
+    assert there == {".pdf", ".png"}
     settings = json.loads((run / "config.json").read_text())["settings"]
     assert settings["stop"]["iterations"] == 2 and settings["agent"]["num_envs"] == 8
     assert settings["seed"] == 5
@@ -204,13 +204,13 @@ def test_check_passes_the_papers_sets_and_draws_them(coordinates, tmp_path, caps
     assert main(["check", "--coordinates", coordinates, "--out", str(tmp_path / "map")]) == 0
     size = (pecjax.COORDINATE_SET_1 if coordinates == "1" else pecjax.COORDINATE_SET_2).size
     assert f"{size} configurations" in capsys.readouterr().out
-    assert {path.name for path in tmp_path.iterdir()} == {"map.png", "map.svg"}
+    assert {path.name for path in tmp_path.iterdir()} == {"map.pdf", "map.png"}
     assert min(path.stat().st_size for path in tmp_path.iterdir()) > 5000
 
 
 def test_check_draws_to_the_name_it_is_given(tmp_path):
     assert main(["check", "--out", str(tmp_path / "map.v2")]) == 0
-    assert {path.name for path in tmp_path.iterdir()} == {"map.v2.png", "map.v2.svg"}
+    assert {path.name for path in tmp_path.iterdir()} == {"map.v2.pdf", "map.v2.png"}
 
 
 @pytest.mark.parametrize("command", [[], ["train"], ["eval"], ["figures"], ["check"]])

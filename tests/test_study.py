@@ -641,7 +641,7 @@ def test_every_figure_of_a_study_is_drawn(study):
         *("goal_ratio", "evaluation", "spread", "exit", "steps_to_threshold", "map", "alpha"),
         *("configurations-pec-0", "configurations-pec-3", "configurations-uniform"),
     }
-    assert {path.suffix for path in paths} == {".png", ".svg"} and all(path.is_file() for path in paths)
+    assert {path.suffix for path in paths} == {".pdf", ".png"} and all(path.is_file() for path in paths)
 
 
 def test_the_pace_of_a_study_is_that_of_whole_batches_of_rows(monkeypatch, capsys):

@@ -204,7 +204,8 @@ def test_groups_of_a_held_out_part_are_reported_paired_and_drawn(tmp_path, monke
         study_figures, "save", lambda figure, path: figures.update({path.name: figure}) or [path]
     )
     study_figures.draw_study(tmp_path / "study")
-    assert "map" not in figures and [axes.get_title() for axes in figures["groups"].axes] == ["easy", "hard"]
+    titles = [axes.get_title("left") for axes in figures["groups"].axes]
+    assert "map" not in figures and titles == ["(a) easy", "(b) hard"]
     for axes, name in zip(figures["groups"].axes, ("easy", "hard"), strict=True):
         for line, sampler in zip(axes.lines, ("pec", "uniform"), strict=True):
             by_iteration = results[results.sampler == sampler].groupby("iteration")

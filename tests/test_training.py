@@ -306,7 +306,7 @@ def test_trajectories_are_the_first_flights_of_each_configuration(run, tables):
 
 def test_figures_are_drawn_and_show_something(run):
     paths = run_figures.draw_run(run[0])
-    assert {path.suffix for path in paths} == {".png", ".svg"}
+    assert {path.suffix for path in paths} == {".pdf", ".png"}
     assert len(paths) == len(set(paths)) >= 8
     for path in paths:
         assert path.parent == run[0] / "figures" and path.stat().st_size > 5000
@@ -314,8 +314,8 @@ def test_figures_are_drawn_and_show_something(run):
             pixels = imread(path)
             assert min(pixels.shape[:2]) > 300 and 0.01 < np.std(pixels) < 0.6
         else:
-            assert path.read_text().rstrip().endswith("</svg>")
-    before = {path: path.read_bytes() for path in paths if path.suffix == ".svg"}
+            assert path.read_bytes().rstrip().endswith(b"%%EOF")
+    before = {path: path.read_bytes() for path in paths if path.suffix == ".pdf"}
     run_figures.draw_run(run[0])
     assert all(path.read_bytes() == content for path, content in before.items())
 

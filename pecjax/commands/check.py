@@ -18,7 +18,7 @@ class Check:
     Attributes:
         scene: maps with their drone in MJCF, files or folders. (default: the paper's six rooms)
         coordinates: the paper's set 1 or 2, or a file of lines 'start_x, start_y, goal_x, goal_y'.
-        out: where the picture goes, as .png and .svg.
+        out: where the picture goes, as .pdf and .png.
     """
 
     scene: Strings = None

@@ -48,7 +48,7 @@ class Eval:
         coordinates: the paper's set 1 or 2, or a file of configurations. (default: the run's own)
         scene: maps with their drone in MJCF, files or folders. (default: the run's own)
         json: prints one JSON object.
-        out: where a figure of the report goes, as .png and .svg. (default: none is drawn)
+        out: where a figure of the report goes, as .pdf and .png. (default: none is drawn)
     """
 
     folder: tyro.conf.Positional[Path]

@@ -34,8 +34,8 @@ def evaluation(report: Report) -> Figure:
         parts["Groups"] = [*groups.values()]
     parts |= report["features"]
     parts = parts or {"All configurations": [report["all"]]}
-    columns = min(len(parts), _COLUMNS)
-    rows = -(-len(parts) // columns)
+    rows = -(-len(parts) // _COLUMNS)
+    columns = -(-len(parts) // rows)
     figure = Figure((COLUMN if columns == 1 else PAGE, 2.1 * rows + 0.3), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel().tolist()
     for axes, (name, of_panel) in zip(panels, parts.items(), strict=False):
@@ -43,7 +43,7 @@ def evaluation(report: Report) -> Figure:
             _points(axes, [(part["low"] + part["high"]) / 2 for part in of_panel], of_panel)
             for part in of_panel:
                 axes.plot([part["low"], part["high"]], [part["goal_ratio"]] * 2, color=PATH, linewidth=0.8)
-            axes.set_xlabel(name[:1].upper() + name[1:])
+            axes.set_xlabel((name[:1].upper() + name[1:]).replace("_", " "))
         else:
             _points(axes, range(len(of_panel)), of_panel)
             names = [*groups] if groups else ["all"]

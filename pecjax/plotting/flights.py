@@ -78,4 +78,4 @@ def draw_flights(axes: Axes, trajectories: pd.DataFrame) -> None:
             named.add(name)
     counts = trajectories.groupby("episode").ending.first().value_counts()
     parts = [f"{counts[kind]} {about.words}" for kind, about in ENDINGS.items() if kind in counts]
-    axes.set_title(f"Of {counts.sum()} flights, {', '.join(parts)}")
+    axes.set_title(f"Of {counts.sum()} flights, {', '.join(parts)}", loc="left")

@@ -65,7 +65,7 @@ def rooms(
         draw_flights(axes, trajectories)
         if len(ways) > MOST_WAYS:
             ways = {row: ways[row] for row in sorted(set(trajectories.config)) if row in ways}
-    draw_places(axes, ways, rules, named=trajectories is None)
+    draw_places(axes, ways, rules, prefix="c" if trajectories is None else None)
     figure.legend(handles=_legend(axes, trajectories, rules), loc="outside right upper")
     return figure
 
@@ -122,20 +122,21 @@ def ways_of(table: Configurations, map_id: int = 0) -> dict[int, tuple[Place, Pl
 
 
 def draw_places(
-    axes: Axes, ways: dict[int, tuple[Place, Place]], rules: NavigationSettings, *, named: bool
+    axes: Axes, ways: dict[int, tuple[Place, Place]], rules: NavigationSettings, prefix: str | None
 ) -> None:
     """Marks every start by a dot, and every goal by the circle to be reached.
 
     Args:
-        named: writes the configurations beside their start, where they are not too many.
+        prefix: of the configurations' numbers, which are written beside their start where they are not too
+            many; with None they are not.
     """
     starts: dict[Place, list[int]] = {}
     for row, (start, _) in ways.items():
         starts.setdefault(start, []).append(row)
     for place, rows in starts.items():
         axes.plot(*place, "o", color=GOAL, markersize=4, markeredgecolor="white", zorder=4)
-        if named and len(ways) <= MOST_NAMES:
-            name_place(axes, ",".join(f"c{row}" for row in rows), place)
+        if prefix is not None and len(ways) <= MOST_NAMES:
+            name_place(axes, ",".join(f"{prefix}{row}" for row in rows), place)
     for goal in sorted({goal for _, goal in ways.values()}):
         ring = {"facecolor": "none", "edgecolor": GOAL, "linewidth": 0.7, "zorder": 3}
         axes.add_patch(Circle(goal, rules.goal_radius, **ring))

@@ -22,8 +22,8 @@ def space_figure(space: Space) -> Figure:
     parts = {split: space.part(split) for split in SPLITS}
     found = {split: features(part.table, part.shortest) for split, part in parts.items()}
     names = (["groups"] if len(space.groups) > 1 else []) + [*found[SPLITS[0]]]
-    columns = min(len(names), _COLUMNS)
-    rows = -(-len(names) // columns)
+    rows = -(-len(names) // _COLUMNS)
+    columns = -(-len(names) // rows)
     figure = Figure((COLUMN if columns == 1 else PAGE, 1.8 * rows + 0.3), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
     for axes, name in zip(panels, names, strict=False):

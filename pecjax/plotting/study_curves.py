@@ -53,8 +53,8 @@ def _curves(axes: Axes, table: pd.DataFrame, column: str, label: str, marks: boo
             band = {"color": style["color"], "alpha": 0.2, "linewidth": 0}
             axes.fill_between(runs.index, low, high, **band)
         elif np.isfinite(low).all():
-            every = max(1, len(runs) // BARS)
-            first = round(every * place / len(found)) % every
+            every = min(max(len(runs) // BARS, len(found)), len(runs))
+            first = every * place // len(found)
             bars = {"fmt": "none", "ecolor": style["color"], "elinewidth": 0.8, "zorder": 1.9}
             errors = np.clip([value - low, high - value], 0, None)
             axes.errorbar(runs.index, value, errors, errorevery=(first, every), **bars)
@@ -110,7 +110,6 @@ def _side_by_side(table: pd.DataFrame, panels: dict[str, tuple[str, str]]) -> Fi
     for axes, (column, (_, label)) in zip(all_axes, panels.items(), strict=True):
         _curves(axes, table, column, label, marks=True)
     name_panels(all_axes, [title for title, _ in panels.values()])
-    legend_below(figure, _entries(table), how_it_spreads(table))
     return figure
 
 
@@ -125,6 +124,7 @@ def evaluation(results: pd.DataFrame) -> Figure:
     figure = _side_by_side(results, panels)
     for axes in figure.axes[:2]:
         axes.set_ylim(RATIO_LIMITS)
+    legend_below(figure, _entries(results), how_it_spreads(results))
     return figure
 
 
@@ -163,9 +163,11 @@ def spread(table: pd.DataFrame) -> Figure:
     }
     figure = _side_by_side(figures, panels)
     size = table.config.nunique()
-    figure.axes[0].axhline(size, color="black", linewidth=0.7, linestyle=":")
+    all_alike = {"color": "black", "linewidth": 0.7, "linestyle": ":", "label": f"All {size:,} alike"}
+    figure.axes[0].axhline(size, **all_alike)
     for axes, top in zip(figure.axes, (1.08 * size, None, None), strict=True):
         axes.set_ylim(0, top)
+    legend_below(figure, [*_entries(figures), Line2D([], [], **all_alike)], how_it_spreads(figures))
     return figure
 
 

@@ -55,7 +55,7 @@ def steps_to_threshold(runs: pd.DataFrame) -> Figure:
         for _, row in shown.iterrows():
             axes.plot(range(len(names)), row, color="0.75", linewidth=0.7, zorder=1)
         for place, name in enumerate(names):
-            _condition(axes, place, np.asarray(table[name].dropna()), zone)
+            _condition(axes, place, np.asarray(table[name].dropna()), zone, "/" if many else " of ")
         labels = names if many else [name.replace(", ", "\n") for name in names]
         axes.set_xticks(range(len(names)), labels, rotation=90 if many else 0)
         axes.set(xlim=(-0.5, len(names) - 0.5), ylim=(0, top))
@@ -74,14 +74,14 @@ def steps_to_threshold(runs: pd.DataFrame) -> Figure:
     return figure
 
 
-def _condition(axes: Axes, place: int, steps: np.ndarray, zone: _Zone | None) -> None:
-    """The marks of one condition's runs, and its median if that is a number."""
+def _condition(axes: Axes, place: int, steps: np.ndarray, zone: _Zone | None, of: str) -> None:
+    """The marks of one condition's runs, how many never held it, and the median if that is a number."""
     look = style_of(place)
     never, shown = int(np.isinf(steps).sum()), steps
     if zone is not None and never:
         shown = np.where(np.isinf(steps), zone.middle, steps)
         style = {"textcoords": "offset points", "xytext": (0, 4), "ha": "center", "fontsize": SMALL}
-        axes.annotate(f"{never} of {len(steps)}", (place, zone.middle), **style)
+        axes.annotate(f"{never}{of}{len(steps)}", (place, zone.middle), **style)
     mark = {"color": look["color"], "marker": look["marker"]}
     axes.scatter(np.full(len(shown), place), shown, s=16, zorder=2, **mark)
     median = np.median(steps)
@@ -158,35 +158,36 @@ def alphas(runs: pd.DataFrame) -> Figure:
     """
     figure = Figure((PAGE, 2.7), layout="constrained")
     panels = figure.subplots(1, 2)
-    failure, goals = {"failure_ratio": "mean"}, {"goal_ratio": "all configurations", "cvar": "worst tenth"}
-    of_samplers = list(runs.dropna(subset="alpha").groupby("sampler", sort=False))
-    place = 0
+    failure, goals = (
+        {"failure_ratio": "mean over configurations"},
+        {"goal_ratio": "all configurations", "cvar": "worst tenth"},
+    )
+    known = runs.dropna(subset="alpha")
+    values, place = sorted(set(known.alpha)), 0
     for axes, lines in zip(panels, (failure, goals), strict=True):
-        for sampler, rows in of_samplers:
-            for name, words in lines.items():
-                look = style_of(place) | {"label": f"{sampler}, {words}"}
-                _by_alpha(axes, rows, name, look, shift=0.012 * (place % 2))
+        for sampler, rows in known.groupby("sampler", sort=False):
+            for column, words in lines.items():
+                look = style_of(place) | {"label": f"{sampler}: {words}"}
+                beside = 0.02 * np.ptp(values) * (1 + place % 2)
+                _by_alpha(axes, rows, column, look, beside)
                 place += 1
-        values = sorted(set(runs.alpha.dropna()))
         if len(values) <= MOST_TICKS:
             axes.set_xticks(values)
         axes.set_xlabel("α")
         axes.grid(True)
         axes.legend()
-    panels[0].set(ylabel="Failure ratio", ylim=(0, min(1.02, max(0.1, 1.1 * runs.failure_ratio.max()))))
+    panels[0].set(ylabel="Failure ratio", ylim=(0, min(1.02, max(0.1, 1.3 * runs.failure_ratio.max()))))
     panels[1].set(ylabel="Goal ratio", ylim=RATIO_LIMITS)
     name_panels(panels, ["Training, since its beginning", "Last uniform evaluation"])
-    legend_below(
-        figure, [Line2D([], [], linestyle="", marker=".", color="0.4", label="A run")], how_it_spreads(runs)
-    )
+    a_run = Line2D([], [], linestyle="", marker=".", color="0.4", label="A run, beside its α")
+    legend_below(figure, [a_run], how_it_spreads(known))
     return figure
 
 
-def _by_alpha(axes: Axes, rows: pd.DataFrame, name: str, look: dict[str, Any], shift: float) -> None:
-    """A line with bars over the seeds, and the runs as points beside it."""
-    found = {alpha: band_of(rows, x.to_numpy()) for alpha, x in rows.groupby("alpha")[name]}
+def _by_alpha(axes: Axes, rows: pd.DataFrame, column: str, look: dict[str, Any], beside: float) -> None:
+    """A line with bars over the seeds, and the runs as points that far to the right of their α."""
+    found = {alpha: band_of(rows, x.to_numpy()) for alpha, x in rows.groupby("alpha")[column]}
     value, low, high = np.array(list(found.values())).T
     error = np.clip(np.nan_to_num([value - low, high - value]), 0, None)
     axes.errorbar(np.array(list(found), float), value, error, **look)
-    beside = rows.alpha + shift
-    axes.scatter(beside, rows[name], s=4, color=look["color"], alpha=0.5, linewidth=0)
+    axes.scatter(rows.alpha + beside, rows[column], s=4, color=look["color"], alpha=0.6, linewidth=0)

@@ -33,7 +33,6 @@ STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: a figure looks the same on every machine
     "font.size": 8,
     "axes.titlesize": 8,
-    "axes.titlelocation": "left",
     "axes.labelsize": 8,
     "figure.titlesize": 8,
     "legend.fontsize": SMALL,
@@ -113,7 +112,7 @@ def name_panels(panels: Sequence[Axes], titles: Iterable[str]) -> None:
     for number, (axes, title) in enumerate(zip(panels, titles, strict=True)):
         turn, place = divmod(number, 26)
         letter = chr(ord("a") + turn - 1) * (turn > 0) + chr(ord("a") + place)
-        axes.set_title(f"({letter}) {title}".strip() if len(panels) > 1 else title)
+        axes.set_title(f"({letter}) {title}".strip() if len(panels) > 1 else title, loc="left")
 
 
 def legend_below(figure: Figure, entries: Sequence[Artist] | None = None, title: str = "") -> None:
@@ -146,7 +145,7 @@ def set_title(figure: Figure, words: str) -> None:
 def name_place(axes: Axes, name: str, place: tuple[float, float]) -> None:
     """Writes a name beside a place, with a white edge that keeps it legible on a picture."""
     edge = [withStroke(linewidth=1.6, foreground="white")]
-    style = {"fontsize": SMALL - 0.5, "path_effects": edge, "zorder": 6}
+    style = {"fontsize": SMALL - 1, "path_effects": edge, "zorder": 6}
     axes.annotate(name, place, textcoords="offset points", xytext=(3, 4), **style)
 
 

@@ -34,7 +34,7 @@ def success(
     """The map with an arrow for every configuration, coloured by its goal ratio, the lower the broader.
 
     A pair and its reverse lie apart, each to the right of its way. Where walls are between the two places,
-    the arrow takes the shortest path.
+    the arrow takes the shortest path around them, if there is one with room for the arrow too.
 
     Args:
         scene: the first of the task's maps.
@@ -52,7 +52,7 @@ def success(
         width = 0.8 + 1.6 * (1 - ratios[row]) / (1 - low)
         look = {"linewidth": width, "color": shade.to_rgba(ratios[row]), "zorder": 2}
         axes.add_patch(FancyArrowPatch(**arrows[row], arrowstyle="-|>", mutation_scale=6, **look))
-    draw_places(axes, ways, rules, named=True)
+    draw_places(axes, ways, rules, prefix="")  # several maps side by side have room for little
     return shade
 
 
@@ -66,7 +66,7 @@ def _arrows(
     }
     if not 0 < len(ways) <= MOST_NAMES:
         return arrows
-    paths = make_site(scene.map, scene.drone_radius, rules.flight_height).paths
+    paths = make_site(scene.map, scene.drone_radius + ASIDE, rules.flight_height).paths
     starts, goals = np.array(list(ways.values())).swapaxes(0, 1)
     for row, way in zip(ways, shortest_ways(paths, starts, goals), strict=True):
         if len(way.points) > 2:
