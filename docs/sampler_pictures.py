@@ -194,7 +194,11 @@ def save(figure: Figure, path: Path) -> None:
     """Writes a PNG of few colours: a third of the size."""
     file = BytesIO()
     figure.savefig(file, dpi=DPI)
-    few = Image.open(file).convert("RGB").quantize(NUM_COLOURS, dither=Image.Dither.NONE)
+    few = (
+        Image.open(file)
+        .convert("RGB")
+        .quantize(NUM_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    )
     few.save(path, optimize=True)
 
 

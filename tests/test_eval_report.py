@@ -90,7 +90,7 @@ def test_five_values_as_many_times_each_are_five_bins():
 
 def test_the_figure_has_a_panel_for_each(report):
     figure = evaluation(report)
-    assert [axes.get_xlabel() for axes in figure.axes] == ["", "wind (m/s)", "gust"]
+    assert [axes.get_xlabel() for axes in figure.axes] == ["Groups", "Wind (m/s)", "Gust"]
     (shown,) = figure.axes[0].containers
     heights = [part["goal_ratio"] for part in report["groups"].values() if part["episodes"]]
     np.testing.assert_allclose(shown.lines[0].get_ydata(), heights)

@@ -18,6 +18,7 @@ from pecjax.plotting.style import (
     RATIO_LIMITS,
     SMOOTHED_ITERATIONS,
     by_iteration,
+    drop_inner_labels,
     legend_below,
     name_panels,
     steps_axis,
@@ -138,10 +139,10 @@ def groups(results: pd.DataFrame, columns: Sequence[str]) -> Figure:
     for axes, column in zip(panels, columns, strict=False):
         _curves(axes, results, column, "Goal ratio", marks=True)
         axes.set_ylim(RATIO_LIMITS)
-        axes.label_outer()
-    name_panels(panels[: len(columns)], [column.partition(".")[2] for column in columns])
     for axes in panels[len(columns) :]:
         axes.remove()
+    drop_inner_labels(panels[: len(columns)], of_row)
+    name_panels(panels[: len(columns)], [column.partition(".")[2] for column in columns])
     legend_below(figure, _entries(results), how_it_spreads(results))
     return figure
 

@@ -19,6 +19,7 @@ from pecjax.plotting.style import (
     PAGE,
     RATIO_LIMITS,
     SMALL,
+    drop_inner_labels,
     legend_below,
     name_panels,
     steps_unit,
@@ -63,8 +64,7 @@ def steps_to_threshold(runs: pd.DataFrame) -> Figure:
         if zone is not None:
             zone.draw(axes)
     name_panels(figure.axes, [f"Goal ratio {at:g} held by five evaluations" for at in THRESHOLDS])
-    if len(finite):
-        figure.axes[0].set_ylabel(f"Environment steps{of_unit}")
+    figure.axes[0].set_ylabel(f"Environment steps{of_unit}")
     entries: list[Artist] = [
         Line2D([], [], linestyle="", marker="o", color="0.4", label="A run"),
         Line2D([], [], color="0.75", linewidth=0.7, label="Runs of one seed"),
@@ -141,8 +141,7 @@ def maps(tables: StudyTables, task: Rooms) -> Figure:
         success(axes, scene, table, of_one, task, low)
         for axes, of_one in zip(panels, ratios.values(), strict=True)
     ]
-    for axes in panels:
-        axes.label_outer()
+    drop_inner_labels(panels, columns)
     name_panels(panels, [f"{name}, mean {np.nanmean(of_one):.3f}" for name, of_one in ratios.items()])
     _, most = num_seeds(last)
     label = f"Goal ratio, mean of n = {most} seed{'s' * (most > 1)}"

@@ -115,6 +115,17 @@ def name_panels(panels: Sequence[Axes], titles: Iterable[str]) -> None:
         axes.set_title(f"({letter}) {title}".strip() if len(panels) > 1 else title, loc="left")
 
 
+def drop_inner_labels(panels: Sequence[Axes], columns: int) -> None:
+    """Keeps the labels of the lowest panel of each column and of the first of each row; call it last."""
+    for place, axes in enumerate(panels):
+        below = place + columns < len(panels)
+        axes.tick_params(labelbottom=not below, labelleft=place % columns == 0)
+        if below:
+            axes.set_xlabel("")
+        if place % columns:
+            axes.set_ylabel("")
+
+
 def legend_below(figure: Figure, entries: Sequence[Artist] | None = None, title: str = "") -> None:
     """A legend that takes its room from below the axes; the figure grows by it.
 
