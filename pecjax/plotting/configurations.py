@@ -48,7 +48,7 @@ def configurations(table: pd.DataFrame, of: str = "") -> Figure:
     panels[0, 0].set(ylabel="Trial ratio", ylim=(0, None))
     panels[1, 0].set(ylabel="Failure ratio", ylim=(0, 1))
     figure.align_ylabels()
-    uniform = f"Uniform share, 1/{table.config.nunique()}"
+    uniform = f"Uniform share, 1/{table.config.nunique():,}"
     entries = [
         Patch(color=TRIALS, label="Share of all trials since the beginning"),
         Patch(color=FAILURES, label="Share of a configuration's trials that failed"),

@@ -21,15 +21,16 @@ from pecjax.plotting.style import (
     PAGE,
     PATH,
     RATIO_LIMITS,
-    SMOOTHED_ITERATIONS,
     TRIALS,
     by_iteration,
     legend_below,
     name_panels,
     save,
     set_title,
+    smoothed,
     steps_axis,
     styled,
+    window,
 )
 from pecjax.storage.tables import read_table
 from pecjax.studies.grid import shown_space, space_name
@@ -44,6 +45,7 @@ _COLUMNS = {
     "metrics": {"iteration", "env_steps", "goal_ratio"},
     "evaluation": {"iteration", "goal_ratio", "mean_return"},
 }
+MOST_MARKS = 20  # of a line; more would hide it
 _INTERVAL = "95 % interval (Wilson), n = {:,} episodes"
 
 
@@ -115,12 +117,10 @@ def goal_ratio(metrics: pd.DataFrame, evaluation: pd.DataFrame, episodes: int, g
     """Goal ratio against iteration, in training and on the uniform evaluation (Fig. 4)."""
     figure = Figure((COLUMN, 2.6), layout="constrained")
     axes = figure.subplots()
-    # The mean is of iterations on both sides: one that trails shows a training later than it was.
-    smooth = metrics.goal_ratio.rolling(SMOOTHED_ITERATIONS, center=True, min_periods=1).mean()
     line = {"color": TRIALS, "linewidth": 0.6, "label": "Training, every iteration"}
     axes.plot(metrics.iteration, metrics.goal_ratio, **line)
-    label = f"Training, centred mean of {SMOOTHED_ITERATIONS} iterations"
-    axes.plot(metrics.iteration, smooth, color=PATH, label=label)
+    label = f"Training, centred mean of {window(len(metrics))} iterations"
+    axes.plot(metrics.iteration, smoothed(metrics.goal_ratio), color=PATH, label=label)
     low, high = _wilson(evaluation.goal_ratio, episodes)
     errors = np.clip([evaluation.goal_ratio - low, high - evaluation.goal_ratio], 0, None)
     label = f"Uniform evaluation, {_actions(greedy)}, {_INTERVAL.format(episodes)}"
@@ -141,24 +141,27 @@ def spread(table: pd.DataFrame) -> Figure:
     figure = Figure((PAGE, 2.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     drawn = ratios.groupby("iteration").trial.agg(effective_number)
-    left.plot(drawn.index, drawn, "o-", color=PATH, label="Of the trials since the beginning")
+    some = {"markevery": max(1, len(drawn) // MOST_MARKS)}
+    left.plot(drawn.index, drawn, "o-", color=PATH, label="Of the trials since the beginning", **some)
     if "probability" in table:
         next_ones = table.groupby("iteration").probability.agg(effective_number)
-        left.plot(next_ones.index, next_ones, "s--", color=FAILURES, label="Of the sampler at that moment")
+        label = "Of the sampler at that moment"
+        left.plot(next_ones.index, next_ones, "s--", color=FAILURES, label=label, **some)
     left.axhline(size, color=BLACK, linewidth=0.8, linestyle=":", label=f"All {size:,} alike")
     left.set(ylabel="Effective number", ylim=(0, 1.08 * size))
     failure = ratios.groupby("iteration").failure
     low, middle, high = (failure.quantile(part) for part in (0.1, 0.5, 0.9))
     right.fill_between(
-        low.index, low, high, color=FAILURES, alpha=0.25, linewidth=0, label="10th to 90th percentile"
+        low.index, low, high, color=FAILURES, alpha=0.25, linewidth=0, label="10th to 90th percentile of them"
     )
-    right.plot(middle.index, middle, "o-", color=FAILURES, label=f"Median of n = {size:,} configurations")
-    right.plot(failure.mean().index, failure.mean(), ":", color=BLACK, label="Mean")
+    label = f"Median of n = {size:,} configurations"
+    right.plot(middle.index, middle, "o-", color=FAILURES, label=label, **some)
+    right.plot(failure.mean().index, failure.mean(), "-.", color=BLACK, label="Mean")
     right.set(ylabel="Failure ratio", ylim=(0, None))
     name_panels([left, right], ["Configurations drawn, exp(entropy)", "Failures since the beginning"])
     for axes in (left, right):
         by_iteration(axes)
-        axes.legend()
+    legend_below(figure)
     return figure
 
 
@@ -189,5 +192,5 @@ def evaluations(
     for axes in (left, right):
         axes.set_xlim(0, 1.03 * evaluation.iteration.max())
         by_iteration(axes)
-        axes.legend(loc="lower right")
+    legend_below(figure)
     return figure

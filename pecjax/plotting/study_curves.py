@@ -16,14 +16,15 @@ from pecjax.plotting.seeds import band_of, by_condition, how_it_spreads
 from pecjax.plotting.style import (
     PAGE,
     RATIO_LIMITS,
-    SMOOTHED_ITERATIONS,
     by_iteration,
     drop_inner_labels,
     legend_below,
     name_panels,
+    smoothed,
     steps_axis,
     style_of,
     styled,
+    window,
 )
 from pecjax.studies.report import THRESHOLDS
 from pecjax.studies.statistics import effective_number, trial_and_failure_ratios
@@ -59,7 +60,7 @@ def _curves(axes: Axes, table: pd.DataFrame, column: str, label: str, marks: boo
             bars = {"fmt": "none", "ecolor": style["color"], "elinewidth": 0.8, "zorder": 1.9}
             errors = np.clip([value - low, high - value], 0, None)
             axes.errorbar(runs.index, value, errors, errorevery=(first, every), **bars)
-    axes.set_ylabel(label)
+    axes.set(ylabel=label, xlim=(0, 1.03 * table.iteration.max()))
     by_iteration(axes)
 
 
@@ -69,7 +70,7 @@ def _smooth(metrics: pd.DataFrame) -> pd.DataFrame:
     At most about 100 iterations are left, with the last: more points would be drawn on one another.
     """
     ratios = metrics.groupby(["condition", "seed"], sort=False).goal_ratio
-    mean = ratios.transform(lambda x: x.rolling(SMOOTHED_ITERATIONS, center=True, min_periods=1).mean())
+    mean = ratios.transform(smoothed)
     last = metrics.iteration.max()
     shown = (last - metrics.iteration) % math.ceil(last / 100) == 0
     return metrics.assign(goal_ratio=mean).loc[shown]
@@ -82,12 +83,16 @@ def goal_ratio(tables: StudyTables) -> Figure:
     left, right = figure.subplots(1, 2, sharey=True)
     _curves(left, _smooth(tables.metrics), "goal_ratio", "Goal ratio")
     _curves(right, tables.results, "goal_ratio", "", marks=True)
-    name_panels([left, right], [f"Training, mean of {SMOOTHED_ITERATIONS} iterations", "Uniform evaluation"])
+    name_panels([left, right], [f"Training, {_of_iterations(tables.metrics)}", "Uniform evaluation"])
     for axes in (left, right):
         axes.set_ylim(RATIO_LIMITS)
         steps_axis(axes, _batch(tables.metrics))
     legend_below(figure, _entries(tables.results), how_it_spreads(tables.results))
     return figure
+
+
+def _of_iterations(metrics: pd.DataFrame) -> str:
+    return f"centred mean of {window(metrics.iteration.max())} iterations"
 
 
 def _batch(table: pd.DataFrame) -> float:
@@ -198,6 +203,6 @@ def exits(metrics: pd.DataFrame, runs: pd.DataFrame) -> Figure:
     steps_axis(axes, batch)
     low, high = THRESHOLDS
     marks = f"Marks: exits, where five iterations in a row held {low:g} or {high:g}"
-    lines = f"Lines: mean of {SMOOTHED_ITERATIONS} iterations. {how_it_spreads(metrics)}"
+    lines = f"Lines: {_of_iterations(metrics)}. {how_it_spreads(metrics)}"
     legend_below(figure, entries, f"{lines}\n{marks}")
     return figure

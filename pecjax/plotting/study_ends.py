@@ -174,12 +174,11 @@ def alphas(runs: pd.DataFrame) -> Figure:
             axes.set_xticks(values)
         axes.set_xlabel("α")
         axes.grid(True)
-        axes.legend()
-    panels[0].set(ylabel="Failure ratio", ylim=(0, min(1.02, max(0.1, 1.3 * runs.failure_ratio.max()))))
+    panels[0].set(ylabel="Failure ratio", ylim=(0, min(1.02, max(0.1, 1.1 * runs.failure_ratio.max()))))
     panels[1].set(ylabel="Goal ratio", ylim=RATIO_LIMITS)
     name_panels(panels, ["Training, since its beginning", "Last uniform evaluation"])
-    a_run = Line2D([], [], linestyle="", marker=".", color="0.4", label="A run, beside its α")
-    legend_below(figure, [a_run], how_it_spreads(known))
+    panels[0].plot([], [], ".", color="0.4", label="A run, beside its α")
+    legend_below(figure, title=how_it_spreads(known))
     return figure
 
 

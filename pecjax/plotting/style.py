@@ -9,6 +9,8 @@ from textwrap import fill
 from typing import Any, ParamSpec
 
 import matplotlib
+import numpy as np
+import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -26,7 +28,7 @@ BLUE, YELLOW, RED, BLACK, TEAL = COLORS = ("#004488", "#ddaa33", "#bb5566", "#00
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":")
 MARKS = ("o", "s", "^", "D", "v", "P", "X")
 TRIALS, FAILURES, GOAL, PATH, TIMEOUT = "#9fb8cc", RED, BLACK, BLUE, YELLOW
-SMOOTHED_ITERATIONS = 20  # that a smoothed training goal ratio is the mean of
+SMOOTHED_ITERATIONS = 20  # at most, that a smoothed training goal ratio is the mean of
 RATIO_LIMITS = (-0.02, 1.02)  # of an axis whose marks at 0 and 1 are to be whole
 
 STYLE: dict[Any, Any] = {
@@ -130,10 +132,12 @@ def legend_below(figure: Figure, entries: Sequence[Artist] | None = None, title:
     """A legend that takes its room from below the axes; the figure grows by it.
 
     Args:
-        entries: with labels. (default: those of the first panel)
+        entries: with labels. (default: those of all panels, each label once)
     """
     if entries is None:
-        handles, labels = figure.axes[0].get_legend_handles_labels()
+        found = [axes.get_legend_handles_labels() for axes in figure.axes]
+        by_label = {label: handle for pairs in found for handle, label in zip(*pairs, strict=True)}
+        labels, handles = list(by_label), list(by_label.values())
     else:
         handles, labels = list(entries), [str(entry.get_label()) for entry in entries]
     width = figure.get_figwidth()
@@ -170,6 +174,17 @@ def by_iteration(axes: Axes) -> None:
 def whole_ticks(axes: Axes) -> None:
     """Ticks of the x axis at whole numbers only: iterations and configurations have no others."""
     axes.xaxis.set_major_locator(MaxNLocator(6, steps=_ROUND, integer=True, min_n_ticks=1))
+
+
+def smoothed(ratios: pd.Series) -> pd.Series:
+    """Goal ratios (T,) as means of `window` iterations around each: one that trails would show them late."""
+    means = ratios.rolling(window(len(ratios)), center=True, min_periods=1).mean()
+    return pd.Series(means, ratios.index)
+
+
+def window(iterations: int) -> int:
+    """How many of so many iterations `smoothed` takes the mean of: a fifth, within limits."""
+    return int(np.clip(iterations // 5, 2, SMOOTHED_ITERATIONS))
 
 
 def steps_unit(most: float) -> tuple[float, str]:
