@@ -35,12 +35,17 @@ def band_of(table: pd.DataFrame, values: np.ndarray) -> Interval:
     return Interval(float(interquartile_mean(values)), float(values.min()), float(values.max()))
 
 
+def seeds_in_words(table: pd.DataFrame) -> str:
+    """How many seeds its conditions have."""
+    least, most = num_seeds(table)
+    return f"n = {most} seed{'s' * (most > 1)}" if least == most else f"n = {least} to {most} seeds"
+
+
 def how_it_spreads(table: pd.DataFrame) -> str:
     """What `band_of` gives, in words."""
-    least, most = num_seeds(table)
+    (least, most), seeds = num_seeds(table), seeds_in_words(table)
     if most == 1:
         return "One seed each"
-    seeds = f"n = {most} seeds" if least == most else f"n = {least} to {most} seeds"
     if least >= ENOUGH:
         return f"Interquartile mean and 95 % bootstrap interval, {seeds}"
     return f"Interquartile mean and range, {seeds}"

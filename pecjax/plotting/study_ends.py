@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from pecjax.envs.rooms.settings import Rooms
-from pecjax.plotting.seeds import band_of, how_it_spreads, num_seeds
+from pecjax.plotting.seeds import band_of, how_it_spreads, seeds_in_words
 from pecjax.plotting.style import (
     BLACK,
     PAGE,
@@ -128,8 +128,8 @@ def maps(tables: StudyTables, task: Rooms) -> Figure:
     by_name = last.groupby(["condition", "config"], sort=False).goal_ratio.mean()
     ratios = {name: by_name[name].sort_index().to_numpy() for name in dict.fromkeys(last.condition)}
     low = min(0.9, math.floor(10 * np.nanmin(by_name)) / 10)
-    columns = min(MAPS_IN_ROW, max(2, len(ratios)))
-    rows = math.ceil(len(ratios) / columns)
+    rows = math.ceil(len(ratios) / MAPS_IN_ROW)
+    columns = max(2, math.ceil(len(ratios) / rows))
     (left, bottom), (right, top) = scene.map.bounds
     height = (PAGE - 1.3) / columns * (top - bottom) / (right - left)
     figure = Figure((PAGE, rows * (height + 0.3) + 0.6), layout="compressed")
@@ -143,8 +143,7 @@ def maps(tables: StudyTables, task: Rooms) -> Figure:
     ]
     drop_inner_labels(panels, columns)
     name_panels(panels, [f"{name}, mean {np.nanmean(of_one):.3f}" for name, of_one in ratios.items()])
-    _, most = num_seeds(last)
-    label = f"Goal ratio, mean of n = {most} seed{'s' * (most > 1)}"
+    label = f"Goal ratio, mean of {seeds_in_words(last)}"
     figure.colorbar(shades[0], ax=panels, label=label, shrink=0.8, aspect=30)
     return figure
 
