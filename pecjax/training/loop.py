@@ -139,7 +139,7 @@ def run_loop(program: Program, start: Position, settings: RunSettings, sink: Sin
             results = _by_run(program, program.evaluate(state))
             steps = iteration * program.steps_per_iteration
             evaluation = [evaluation_row(iteration, steps, one, program.eval_set) for one in results]
-            episodes = [episode_arrays(one, with_paths=last) for one in results]
+            episodes = [episode_arrays(one, recorded=last) for one in results]
             sink.rows("evaluation", evaluation)
             sink.arrays("episodes", iteration, episodes)
         asked = hooks.asked()

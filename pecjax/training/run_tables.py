@@ -43,15 +43,12 @@ def trajectory_table(run: RunDirectory) -> pd.DataFrame:
     if (run.folder / "trajectories.csv").is_file():
         table = read_table(run.folder / "trajectories.csv", columns | {"goal"})
         return table.rename(columns={"goal": "success"})
-    kept = run.iterations("episodes")
-    if not kept or "paths" not in run.arrays("episodes", kept[-1]):
-        raise InputError(f"{run.folder / 'episodes'}: no paths of a finished run; train it to its end")
     parts = []
-    with _arrays(run, "episodes", kept[-1]) as last:
-        for episode, path in zip(last["path_episode"], last["paths"], strict=True):
+    with last_recording(run) as last:
+        for episode, path in zip(last["recorded"], last["poses"], strict=True):
             length = int(last["length"][episode]) + 1
             if len(path[:length]) != length:
-                raise ValueError(f"episode {episode} has no {length} positions")
+                raise ValueError(f"episode {episode} has no {length} poses")
             about = {
                 "episode": episode,
                 "config": last["config_id"][episode],
@@ -61,6 +58,20 @@ def trajectory_table(run: RunDirectory) -> pd.DataFrame:
             parts.append(pd.DataFrame(about | steps))
         kinds = {"episode": int, "config": int, "success": int, "x": float, "y": float}
         return pd.concat(parts, ignore_index=True).astype(kinds)
+
+
+@contextlib.contextmanager
+def last_recording(run: RunDirectory) -> Iterator[dict[str, np.ndarray]]:
+    """The arrays of the last evaluation's episodes, some of which are recorded (see `rows.episode_arrays`).
+
+    Raises:
+        InputError: the run is not finished, or what is made of its arrays meanwhile cannot be made of them.
+    """
+    kept = run.iterations("episodes")
+    if not kept or "poses" not in run.arrays("episodes", kept[-1]):
+        raise InputError(f"{run.folder / 'episodes'}: no flights of a finished run; train it to its end")
+    with _arrays(run, "episodes", kept[-1]) as arrays:
+        yield arrays
 
 
 @contextlib.contextmanager

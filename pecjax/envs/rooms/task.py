@@ -205,9 +205,9 @@ class RoomsTask(Task):
             return table.replace(objective=np.full(table.size, REACH, np.int32))
         return table
 
-    def position(self, state: RoomsState) -> jax.Array:
-        """(2,) m, seen from above."""
-        return state.qpos[..., :2]
+    def pose(self, state: RoomsState) -> jax.Array:
+        """Position m and attitude quaternion w-x-y-z of the drone, (7,)."""
+        return state.qpos
 
 
 def _air(wind: jax.Array | None, gust: jax.Array | None) -> jax.Array | None:
