@@ -59,7 +59,7 @@ def add(collected, iteration, size, value):
         flights = made_flights(size, value)
         collected.arrays("configurations", iteration, [configuration_arrays(counts, np.full(size, 1 / size))])
         collected.rows("evaluation", [evaluation_row(iteration, steps, flights, EvalSet(np.zeros(size)))])
-        collected.arrays("episodes", iteration, [episode_arrays(flights, recorded=False)])
+        collected.arrays("episodes", iteration, [episode_arrays(flights)])
 
 
 def made_counts(size, ratio):

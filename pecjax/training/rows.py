@@ -67,21 +67,28 @@ def configuration_arrays(counts: np.ndarray, probabilities: np.ndarray) -> dict[
     return {"trials": counts[0], "failures": counts[1], "probability": probabilities}
 
 
-def episode_arrays(result: EvalResult, recorded: bool) -> dict[str, Any]:
-    """What is kept of an evaluation's episodes, (E,) each.
+def episode_arrays(result: EvalResult) -> dict[str, Any]:
+    """What is kept of an evaluation's episodes, (E,) each."""
+    kept = {"config_id": result.config_id, "success": result.success, "return": result.returns}
+    return kept | {"length": result.lengths, **result.metrics}
+
+
+def recording_arrays(result: EvalResult, chosen: np.ndarray | None = None) -> dict[str, Any]:
+    """`RECORDING_ARRAYS`: the poses and actions of some episodes; none of a task without poses.
 
     Args:
-        recorded: keeps `RECORDING_ARRAYS` too: the numbers (F,) of some episodes, their poses
-            (F, L + 1, 7) and their actions (F, L, …), where L is the longest one's length.
+        chosen: (F,) the episodes; by default the first few of each configuration.
+
+    Returns:
+        `recorded` (F,), the episodes; `poses` (F, L + 1, 7) and `actions` (F, L, …), where L is the
+        longest one's length.
     """
-    kept = {"config_id": result.config_id, "success": result.success, "return": result.returns}
-    kept |= {"length": result.lengths, **result.metrics}
-    if recorded and result.poses is not None:
-        chosen = _some_of_each(result.config_id)
-        longest = int(result.lengths[chosen].max())
-        recording = chosen, result.poses[chosen, : longest + 1], result.actions[chosen, :longest]
-        kept |= dict(zip(RECORDING_ARRAYS, recording, strict=True))
-    return kept
+    if result.poses is None:
+        return {}
+    chosen = _some_of_each(result.config_id) if chosen is None else chosen
+    longest = int(result.lengths[chosen].max())
+    recording = chosen, result.poses[chosen, : longest + 1], result.actions[chosen, :longest]
+    return dict(zip(RECORDING_ARRAYS, recording, strict=True))
 
 
 def _some_of_each(config_id: np.ndarray) -> np.ndarray:

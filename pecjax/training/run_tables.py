@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
-
 import numpy as np
 import pandas as pd
 
 from pecjax.errors import InputError
 from pecjax.storage.tables import read_table
+from pecjax.training.run_arrays import last_recording, run_arrays
 from pecjax.training.run_directory import RunDirectory
 
 
@@ -24,7 +22,7 @@ def configuration_table(run: RunDirectory) -> pd.DataFrame:
         return read_table(run.folder / "configurations.csv", set(columns[:-1]))
     parts = []
     for iteration in run.iterations("configurations"):
-        with _arrays(run, "configurations", iteration) as arrays:
+        with run_arrays(run, "configurations", iteration) as arrays:
             config = np.arange(len(arrays["trials"]))
             table = pd.DataFrame({"iteration": iteration, "config": config, **arrays})[columns]
             parts.append(table.astype({"trials": int, "failures": int, "probability": float}))
@@ -58,33 +56,3 @@ def trajectory_table(run: RunDirectory) -> pd.DataFrame:
             parts.append(pd.DataFrame(about | steps))
         kinds = {"episode": int, "config": int, "success": int, "x": float, "y": float}
         return pd.concat(parts, ignore_index=True).astype(kinds)
-
-
-@contextlib.contextmanager
-def last_recording(run: RunDirectory) -> Iterator[dict[str, np.ndarray]]:
-    """The arrays of the last evaluation's episodes, some of which are recorded (see `rows.episode_arrays`).
-
-    Raises:
-        InputError: the run is not finished, or what is made of its arrays meanwhile cannot be made of them.
-    """
-    kept = run.iterations("episodes")
-    if not kept or "poses" not in run.arrays("episodes", kept[-1]):
-        raise InputError(f"{run.folder / 'episodes'}: no flights of a finished run; train it to its end")
-    with _arrays(run, "episodes", kept[-1]) as arrays:
-        yield arrays
-
-
-@contextlib.contextmanager
-def _arrays(run: RunDirectory, name: str, iteration: int) -> Iterator[dict[str, np.ndarray]]:
-    """The arrays that a run has kept.
-
-    Raises:
-        InputError: they cannot be read, or what is made of them meanwhile cannot be made of them.
-    """
-    try:
-        yield run.arrays(name, iteration)
-    except InputError:
-        raise
-    except (KeyError, IndexError, ValueError, TypeError) as error:
-        path = run.folder / name / f"{iteration}.npz"
-        raise InputError(f"{path}: not the arrays of a run ({error!r}); train again") from error
