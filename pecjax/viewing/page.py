@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pecjax.envs.rooms.map_file import ENDLESS
-from pecjax.envs.rooms.maps import Walls
+from pecjax.envs.rooms.map_file import ENDLESS, Map
 from pecjax.viewing.history import History
 from pecjax.viewing.recording import Flight, Recording
 
@@ -57,7 +56,7 @@ def _content(recording: Recording, history: History | None) -> tuple[dict[str, A
         "droneRadius": task.vehicle.radius,
         "goalRadius": task.settings.goal_radius,
         "depthAbout": about | {"near": task.vehicle.camera.near, "far": task.vehicle.camera.far},
-        "maps": {str(number): _map(walls) for number, walls in recording.walls.items()},
+        "maps": {str(number): _map(one) for number, one in recording.maps.items()},
         "flights": [],
     }
     first, first_image = 0, 0
@@ -96,16 +95,16 @@ def _images(flights: tuple[Flight, ...], far: float) -> tuple[np.ndarray, dict[s
     return np.round(255 * kept / far).astype(np.uint8), {"height": height, "width": width, "stride": stride}
 
 
-def _map(walls: Walls) -> dict[str, Any]:
+def _map(about: Map) -> dict[str, Any]:
     """Walls and bounds of one map; what has no end is cut off near the others."""
-    corners = np.stack([walls.lower, walls.upper])
-    ends = np.abs(corners) < ENDLESS
-    low = np.min(corners, axis=(0, 1), where=ends, initial=np.inf)
-    high = np.max(corners, axis=(0, 1), where=ends, initial=-np.inf)
-    lower, upper = np.clip(corners, low - MARGIN, high + MARGIN)
-    covers = np.prod(upper[:, :2] - lower[:, :2], axis=1) > COVER * np.prod(high[:2] - low[:2])
+    low, high = about.bounds
+    heights = np.stack([about.lower, about.upper])[..., 2]
+    heights = heights[np.abs(heights) < ENDLESS]
+    least, most = [*(low - MARGIN), heights.min() - MARGIN], [*(high + MARGIN), heights.max() + MARGIN]
+    lower, upper = np.clip(about.lower, least, most), np.clip(about.upper, least, most)
+    covers = np.prod(upper[:, :2] - lower[:, :2], axis=1) > COVER * np.prod(high - low)
     return {
-        "bounds": [low[:2].tolist(), high[:2].tolist()],
+        "bounds": about.bounds.tolist(),
         "walls": [
             {"lower": a, "upper": b, "cover": bool(c)}
             for a, b, c in zip(lower.tolist(), upper.tolist(), covers, strict=True)

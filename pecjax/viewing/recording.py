@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pecjax.envs.rooms.config import Configurations
-from pecjax.envs.rooms.maps import FAR_AWAY, MapBank, Walls
+from pecjax.envs.rooms.map_file import Map
+from pecjax.envs.rooms.maps import FAR_AWAY, MapBank
 from pecjax.envs.rooms.task import RoomsTask
 from pecjax.envs.task import Task, World, take_configs
 from pecjax.errors import InputError
@@ -57,13 +58,13 @@ class Recording(NamedTuple):
     Attributes:
         title: what flew where.
         task: rules, drone and camera.
-        walls: of each map that is flown in, by its number.
+        maps: those that are flown in, by number.
         flights: the flights.
     """
 
     title: str
     task: RoomsTask
-    walls: dict[int, Walls]
+    maps: dict[int, Map]
     flights: tuple[Flight, ...]
 
 
@@ -108,8 +109,8 @@ def make_recording(
     if not flights:
         raise ValueError("no flights")
     numbers = sorted({flight.map_id for flight in flights})
-    walls = {number: real_walls(world.params.bank, number) for number in numbers}
-    return Recording(title, task, walls, flights)
+    maps = {number: _map(world.params.bank, number) for number in numbers}
+    return Recording(title, task, maps, flights)
 
 
 def _flight(
@@ -163,8 +164,9 @@ def _camera(task: RoomsTask, world: World) -> Camera:
     return images
 
 
-def real_walls(bank: MapBank, number: int) -> Walls:
-    """The walls of one map, without the boxes that only fill up the bank."""
-    lower, upper = (np.asarray(corners)[number] for corners in (bank.lower, bank.upper))
+def _map(bank: MapBank, number: int) -> Map:
+    """One map of a bank, without the boxes that only fill it up."""
+    lower, upper, bounds = (np.asarray(leaf)[number] for leaf in bank)
     real = lower[:, 0] < FAR_AWAY
-    return Walls(lower[real], upper[real])
+    names = tuple(f"wall {wall}" for wall in range(int(real.sum())))
+    return Map(lower[real], upper[real], bounds, names)

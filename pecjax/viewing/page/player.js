@@ -179,7 +179,10 @@ class Player {
     for (const row of byId("flights").children) {
       const selected = Number(row.dataset.flight) === number;
       row.setAttribute("aria-selected", selected);
-      if (selected) row.scrollIntoView({ block: "nearest" });
+      if (!selected) continue;
+      const list = byId("flights"); // scrolled by itself: scrollIntoView would move the page on a phone
+      list.scrollTop = Math.min(list.scrollTop, row.offsetTop);
+      list.scrollTop = Math.max(list.scrollTop, row.offsetTop + row.offsetHeight - list.clientHeight);
     }
     this.draw();
   }
@@ -234,7 +237,7 @@ class Player {
     });
   }
 
-  // What is behind the # of the page's address, such as #flight=3&time=4.2&camera=chase&play=1.
+  // What is behind the # of the page's address, such as #flight=3&time=4.2&camera=chase.
   readAddress() {
     const asked = new URLSearchParams(location.hash.slice(1));
     const flight = Number(asked.get("flight") ?? this.chosen);
@@ -249,7 +252,7 @@ class Player {
     }
     this.setCamera(["free", "chase", "top"].find((mode) => mode === asked.get("camera")) ?? this.world.mode);
     this.setTime(Number(asked.get("time") ?? 0) / this.data.period);
-    if (asked.has("play")) this.setPlaying(true);
+    this.setPlaying(!asked.has("time") && !matchMedia("(prefers-reduced-motion)").matches);
   }
 }
 
