@@ -15,14 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from pecjax.envs.rooms.map_file import ENDLESS, Map
+from pecjax.envs.rooms.map_file import Map
 from pecjax.viewing.history import History
-from pecjax.viewing.recording import Flight, Recording
+from pecjax.viewing.recording import Flight, Recording, drawn_walls
 
 IMAGE_PIXELS = 768  # the most that an image keeps; a larger one is made smaller by a whole factor
 ALL_PIXELS = 4_000_000  # the most of all images; beyond it some in between are left out
-MARGIN = 0.5  # m, by which walls without an end stand out
-COVER = 0.5  # share of the map above which a box is a floor or a ceiling
 _PAGE, _STYLE = "page/page.html", "page/style.css"
 _SCRIPTS = ("three/three.min.js", "page/data.js", "page/world.js", "page/panels.js", "page/player.js")
 
@@ -96,19 +94,10 @@ def _images(flights: tuple[Flight, ...], far: float) -> tuple[np.ndarray, dict[s
 
 
 def _map(about: Map) -> dict[str, Any]:
-    """Walls and bounds of one map; what has no end is cut off near the others."""
-    low, high = about.bounds
-    heights = np.stack([about.lower, about.upper])[..., 2]
-    heights = heights[np.abs(heights) < ENDLESS]
-    least, most = [*(low - MARGIN), heights.min() - MARGIN], [*(high + MARGIN), heights.max() + MARGIN]
-    lower, upper = np.clip(about.lower, least, most), np.clip(about.upper, least, most)
-    covers = np.prod(upper[:, :2] - lower[:, :2], axis=1) > COVER * np.prod(high - low)
+    walls = zip(*(part.tolist() for part in drawn_walls(about)), strict=True)
     return {
         "bounds": about.bounds.tolist(),
-        "walls": [
-            {"lower": a, "upper": b, "cover": bool(c)}
-            for a, b, c in zip(lower.tolist(), upper.tolist(), covers, strict=True)
-        ],
+        "walls": [{"lower": lower, "upper": upper, "cover": cover} for lower, upper, cover in walls],
     }
 
 

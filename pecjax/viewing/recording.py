@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pecjax.envs.rooms.config import Configurations
-from pecjax.envs.rooms.map_file import Map
+from pecjax.envs.rooms.map_file import ENDLESS, Map
 from pecjax.envs.rooms.maps import FAR_AWAY, MapBank
 from pecjax.envs.rooms.task import RoomsTask
 from pecjax.envs.task import Task, World, take_configs
@@ -24,6 +24,8 @@ from pecjax.viewing.history import History, read_history
 Camera = Callable[[Configurations, np.ndarray], np.ndarray]
 
 ENDINGS = ("goal", "collision", "timeout", "other")
+MARGIN = 0.5  # m, by which walls without an end stand out
+COVER = 0.5  # share of the map above which a box is a floor or a ceiling
 BATCH = 256  # images that are computed at once
 
 
@@ -170,3 +172,19 @@ def _map(bank: MapBank, number: int) -> Map:
     real = lower[:, 0] < FAR_AWAY
     names = tuple(f"wall {wall}" for wall in range(int(real.sum())))
     return Map(lower[real], upper[real], bounds, names)
+
+
+def drawn_walls(about: Map) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The walls of a map to be drawn in three dimensions.
+
+    Returns:
+        their corners (W, 3) m, what has no end cut off near the others, and (W,) bool, whether a wall is a
+        floor or a ceiling, which would hide all the rest.
+    """
+    low, high = about.bounds
+    heights = np.stack([about.lower, about.upper])[..., 2]
+    heights = heights[np.abs(heights) < ENDLESS]
+    least, most = [*(low - MARGIN), heights.min() - MARGIN], [*(high + MARGIN), heights.max() + MARGIN]
+    lower, upper = np.clip(about.lower, least, most), np.clip(about.upper, least, most)
+    covers = np.prod(upper[:, :2] - lower[:, :2], axis=1) > COVER * np.prod(high - low)
+    return lower, upper, covers
