@@ -28,7 +28,6 @@ TABLES = (
     "coordinates.csv",
     "space.npz",
     "evaluation.csv",
-    "metrics.csv",
     "summary.json",
 )
 HISTORIES = 20  # iterations whose probabilities are kept
@@ -45,21 +44,15 @@ def make_demo(run: Path, demo: Path) -> None:
     for name in TABLES:
         if (run / name).exists():
             shutil.copy(run / name, demo / name)
-    learner = trained.learner
-    forgotten = jax.tree.map(np.zeros_like, learner.optimizer)
-    _keep(demo, "checkpoints", trained.iteration, learner._replace(optimizer=forgotten))
-    _keep(demo, "episodes", trained.iteration, episode_arrays(result) | recording_arrays(result, chosen))
-    there = sorted(int(path.stem) for path in (run / "configurations").glob("*.npz"))
+    last = f"{trained.iteration}.npz"
+    # Zeros take no room in the wheel, which is compressed.
+    forgotten = jax.tree.map(np.zeros_like, trained.learner.optimizer)
+    write_arrays(demo / "checkpoints" / last, trained.learner._replace(optimizer=forgotten))
+    write_arrays(demo / "episodes" / last, episode_arrays(result) | recording_arrays(result, chosen))
+    there = sorted((run / "configurations").glob("*.npz"), key=lambda path: int(path.stem))
+    (demo / "configurations").mkdir()
     for place in np.unique(np.linspace(0, len(there) - 1, HISTORIES).astype(int)):
-        (demo / "configurations").mkdir(exist_ok=True)
-        with np.load(run / "configurations" / f"{there[place]}.npz") as arrays:
-            np.savez_compressed(demo / "configurations" / f"{there[place]}.npz", **arrays)
-
-
-def _keep(demo: Path, folder: str, iteration: int, tree: object) -> None:
-    write_arrays(demo / folder / f"{iteration}.npz", tree)
-    with np.load(demo / folder / f"{iteration}.npz") as arrays:
-        np.savez_compressed(demo / folder / f"{iteration}.npz", **arrays)
+        shutil.copy(there[place], demo / "configurations")
 
 
 if __name__ == "__main__":
