@@ -40,8 +40,8 @@ class Sampler(NamedTuple):
     """A way to choose configurations: four pure functions over a state that is a pytree.
 
     Attributes:
-        init: (**numbers) -> state. Numbers that the sampler has are in its state, where a study
-            may vary them under `vmap`; given here by name, they take the place of its own.
+        init: `(**numbers) -> state`. The sampler's numbers are part of its state, so a study can vary
+            them under `vmap`. A number that is given by name replaces the sampler's own.
         probabilities: (state) -> (N,), sums to 1.
         sample: (state, key, shape=()) -> int32 configuration numbers of that shape, a tuple or an
             int. It only reads the state.

@@ -30,7 +30,7 @@ class Apex(AgentSettings):
         learning_rate, adam_eps, max_grad_norm: of Adam, with a bound on each array's gradient.
         decay_updates: updates over which the rate falls evenly to a tenth, where it stays; None
             for a constant rate.
-        huber_delta: |TD error| from which on the loss is linear.
+        huber_delta: the absolute TD error above which the loss is linear.
         reward_scale: what rewards are multiplied with for the learner.
         network, replay: theirs.
     """
