@@ -41,7 +41,11 @@ html_title = "pecjax"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
-html_theme_options = {"use_fullscreen_button": False, "use_download_button": False}
+html_theme_options = {
+    "use_fullscreen_button": False,
+    "use_download_button": False,
+    "footer_content_items": ["copyright.html"],
+}
 
 
 def outputs_within(model: str, states: dict[str, Any]) -> Iterator[Any]:
