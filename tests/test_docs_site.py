@@ -1,4 +1,4 @@
-"""The docs site: it builds without a warning, loads nothing from the network, and its links lead somewhere."""
+"""The docs site: it builds without a warning, loads nothing from the network, and has no broken links."""
 
 import re
 import subprocess

@@ -1,6 +1,7 @@
 """Processes: those that share one training, what they agree on, and how they end together.
 
-Each of them runs the same program on devices of its own. Only the first, the primary process, writes files and prints.
+Each of them runs the same program on devices of its own. Only the first, the primary process, writes files
+and prints.
 """
 
 from __future__ import annotations
