@@ -35,6 +35,7 @@ autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 maximum_signature_line_length = 88
 napoleon_use_ivar = True
+napoleon_attr_annotations = False  # the signature has them
 
 html_theme = "sphinx_book_theme"
 html_title = "pecjax"
