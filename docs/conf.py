@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import Any
@@ -26,6 +27,7 @@ nitpick_ignore_regex = [
 myst_heading_anchors = 3
 nb_execution_mode = "off"  # the tutorials are shown as they were stored; the tests run them
 nb_ipywidgets_js = {}
+nb_merge_streams = True  # the lines of a log as one output
 
 default_role = "code"  # docstrings write names in single backticks
 autodoc_default_options = {"members": True, "member-order": "bysource"}
@@ -88,8 +90,17 @@ def literal_blocks(app: Sphinx, what: str, name: str, member: Any, options: Any,
             lines[place:place] = ["::", ""]
 
 
+def short_defaults(
+    app: Sphinx, what: str, name: str, member: Any, options: Any, signature: str | None, returns: str | None
+) -> tuple[str | None, str | None]:
+    """Shows a default that is an object as its constructor, without all its fields."""
+    inner = r"(?:[^()]|\((?:[^()]|\([^()]*\))*\))*"
+    return signature and re.sub(rf"= ([A-Z]\w*)\({inner}\)", r"= \1()", signature), returns
+
+
 def setup(app: Sphinx) -> None:
     """Connects the hooks above."""
     app.connect("source-read", still_widgets)
     app.connect("autodoc-skip-member", skip_member)
+    app.connect("autodoc-process-signature", short_defaults)
     app.connect("autodoc-process-docstring", literal_blocks, priority=100)  # before napoleon's
