@@ -65,11 +65,12 @@ def still_widgets(app: Sphinx, page: str, source: list[str]) -> None:
         return
     notebook, kind = json.loads(source[0]), "application/vnd.jupyter.widget-view+json"
     stored = notebook["metadata"].get("widgets", {}).get("application/vnd.jupyter.widget-state+json", {})
+    states = stored.get("state", {})
     for cell in notebook["cells"]:
         shown = []
         for output in cell.get("outputs", ()):
-            view = output.get("data", {}).get(kind)
-            shown += [output] if view is None else outputs_within(view["model_id"], stored["state"])
+            model = output.get("data", {}).get(kind, {}).get("model_id")
+            shown += outputs_within(model, states) if model in states else [output]
         if "outputs" in cell:
             cell["outputs"] = shown
     source[0] = json.dumps(notebook)
