@@ -1,4 +1,4 @@
-"""Measures: what the episodes of an evaluation come to."""
+"""Measures over the episodes of an evaluation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A session: a training in one process, and where it starts or resumes."""
+"""Sessions: a training in one process, and where it starts or resumes."""
 
 from __future__ import annotations
 
