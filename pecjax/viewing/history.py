@@ -11,7 +11,7 @@ from pecjax.envs.rooms.config import Configurations
 from pecjax.training.run_arrays import run_arrays
 from pecjax.training.run_directory import RunDirectory
 
-MOST_SHOWN = 400  # configurations
+MOST_SHOWN = 150  # configurations
 MOST_ITERATIONS = 100
 
 

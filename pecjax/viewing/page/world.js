@@ -6,6 +6,8 @@ const SKY = "#dfe9f2";
 const CHASE = { behind: 2.4, above: 1.1, ahead: 1.5 }; // m, of the drone
 const CHASE_SMOOTHING = 0.12; // of the remaining way in each frame
 
+const MANY = 40; // configurations, beyond which ribbons are thin
+
 class World {
   constructor(canvas, data) {
     this.data = data;
@@ -92,8 +94,9 @@ class World {
     if (!colors) return;
     const { starts, goals, maps } = this.data.history;
     const rows = [...colors.keys()].filter((row) => maps[row] === number);
-    const box = new THREE.BoxGeometry(1, 0.1, 0.02);
-    const tip = new THREE.ConeGeometry(0.16, 0.4, 12).rotateZ(-Math.PI / 2);
+    const width = rows.length > MANY ? 0.5 : 1;
+    const box = new THREE.BoxGeometry(1, 0.1 * width, 0.02);
+    const tip = new THREE.ConeGeometry(0.16 * width, 0.4 * width, 12).rotateZ(-Math.PI / 2);
     const ribbons = new THREE.InstancedMesh(box, new THREE.MeshBasicMaterial(), rows.length);
     const tips = new THREE.InstancedMesh(tip, new THREE.MeshBasicMaterial(), rows.length);
     rows.forEach((row, place) => {
