@@ -1,4 +1,4 @@
-"""The command line: `pecjax train`, `eval`, `study`, `figures`, `check`, `maps`, `spaces`; `--version`."""
+"""The command line: `pecjax train`, `eval`, `watch`, `study` and others; `pecjax --help` names them all."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from pecjax.commands.options import read
 from pecjax.commands.spaces import Spaces
 from pecjax.commands.study import Study
 from pecjax.commands.train import Train
+from pecjax.commands.watch import Watch
 from pecjax.errors import DivergedError, InputError, LostProcessError, StoppedError
 from pecjax.runtime import devices
 from pecjax.settings_tree import nearest
@@ -28,6 +29,7 @@ from pecjax.settings_tree import nearest
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
+    | Annotated[Watch, tyro.conf.subcommand("watch")]
     | Annotated[Study, tyro.conf.subcommand("study")]
     | Annotated[Figures, tyro.conf.subcommand("figures")]
     | Annotated[Check, tyro.conf.subcommand("check")]

@@ -121,9 +121,7 @@ def test_figures_draws_them_again_and_names_them(run, capsys):
 @pytest.mark.slow
 def test_the_sampler_that_the_docs_show_trains_resumes_and_evaluates(tmp_path, monkeypatch, capsys):
     """It lies in a file beside, and the run knows it by its address."""
-    shown = re.search(
-        r"```python\n(# mine\.py.*?)```", (ROOT / "docs/architecture.md").read_text(), re.DOTALL
-    )
+    shown = re.search(r"```python\n(# mine\.py.*?)```", (ROOT / "docs/own-sampler.md").read_text(), re.DOTALL)
     (tmp_path / "mine.py").write_text(shown[1])
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [path for path in sys.path if path])

@@ -19,7 +19,7 @@ def flights(config_id, success, path_length=None):
     number = len(config_id)
     metrics = {} if path_length is None else {"path_length": np.asarray(path_length, float)}
     return EvalResult(
-        np.asarray(config_id), np.asarray(success, bool), np.zeros(number), np.full(number, 10), metrics, None
+        np.asarray(config_id), np.asarray(success, bool), np.zeros(number), np.full(number, 10), metrics
     )
 
 

@@ -13,7 +13,7 @@ from matplotlib.patches import Circle, FancyArrowPatch, Rectangle
 import pecjax
 from pecjax.envs.rooms.config import Configurations
 from pecjax.plotting import flights as flight_figures
-from pecjax.plotting.flights import ENDINGS
+from pecjax.plotting.flights import LOOKS
 from pecjax.plotting.maps import floor_plan, rooms
 from pecjax.plotting.success_map import success
 
@@ -53,7 +53,7 @@ def with_plane(furnished):
 def drawn(scene):
     """The map's axes, and the rectangle of each wall by name."""
     axes = Figure().subplots()
-    floor_plan(axes, scene)
+    floor_plan(axes, scene.map, scene.drone_radius)
     walls = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
     return axes, dict(zip(scene.map.names, walls, strict=True))
 
@@ -141,7 +141,7 @@ def test_the_legend_names_what_flights_there_are_and_fits(endings, furnished):
     )
     figure = rooms(furnished, TABLE, flights)
     words = [text.get_text() for text in figure.legends[0].get_texts()]
-    for kind, about in ENDINGS.items():
+    for kind, about in LOOKS.items():
         assert (about.label in words) == (kind in endings)
         assert (about.words in figure.axes[0].get_title("left")) == (kind in endings)
     figure.draw_without_rendering()
@@ -151,9 +151,9 @@ def test_the_legend_names_what_flights_there_are_and_fits(endings, furnished):
 
 
 def test_endings_differ_in_colour_and_mark():
-    failed = [about for kind, about in ENDINGS.items() if kind != "goal"]
+    failed = [about for kind, about in LOOKS.items() if kind != "goal"]
     assert len({about.mark for about in failed}) == len(failed)
-    assert len({ENDINGS[kind].color for kind in ("goal", "collision", "timeout")}) == 3
+    assert len({LOOKS[kind].color for kind in ("goal", "collision", "timeout")}) == 3
 
 
 def test_each_flight_has_an_arrow_along_it(furnished):
@@ -167,7 +167,8 @@ def test_each_flight_has_an_arrow_along_it(furnished):
 
 def test_how_flights_ended_is_read_from_the_run(monkeypatch):
     table = pd.DataFrame({"episode": [3, 3, 5, 7, 9], "success": [1, 1, 0, 0, 0]})
-    kinds = {name: np.isin(np.arange(10), at) for name, at in (("collision", [5]), ("timeout", [7]))}
+    places = {"success": [3], "collision": [5], "timeout": [7]}
+    kinds = {name: np.isin(np.arange(10), at) for name, at in places.items()}
 
     class Run:
         def __init__(self, kept):

@@ -139,7 +139,7 @@ def test_batches_that_do_not_belong_to_the_tables_get_one_line(damage, words, tm
 def test_the_worst_tenth_of_an_evaluation_is_of_what_it_flew():
     reached = np.random.default_rng(0).random(20) < 0.7
     # 20 episodes for 200 configurations: the 20 that are flown have their worst two.
-    flights = EvalResult(np.arange(20) * 7, reached, 1.0 * reached, np.ones(20), {}, None)
+    flights = EvalResult(np.arange(20) * 7, reached, 1.0 * reached, np.ones(20), {})
     collected = Collected([{"seed": 4}])
     collected.rows("evaluation", [evaluation_row(1, 100, flights, EvalSet(np.zeros(200)))])
     (row,) = collected.table("evaluation")

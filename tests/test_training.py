@@ -124,7 +124,7 @@ def test_arrays_of_all_configurations_and_episodes(run):
         arrays = directory.arrays("episodes", iteration)
         flown = {"config_id", "success", "return", "length"} | of_task
         # Paths are of the last evaluation only.
-        assert set(arrays) == (flown | {"path_episode", "paths"} if iteration == 5 else flown)
+        assert set(arrays) == (flown | {"recorded", "poses", "actions"} if iteration == 5 else flown)
         assert all(arrays[name].shape == (6,) for name in flown)
         endings = arrays["success"].astype(int) + arrays["collision"] + arrays["timeout"]
         assert np.all(endings == 1)
@@ -277,7 +277,7 @@ def test_a_run_that_is_opened_flies_its_evaluation_and_other_worlds(run, tables)
     np.testing.assert_allclose(fly().returns.mean(), row.mean_return, rtol=1e-6)
     world = trained.run.world
     backwards = jax.tree.map(lambda leaf: leaf[::-1], world.table)
-    assert np.any(fly(world._replace(table=backwards)).paths[:, 0] != fly().paths[:, 0])
+    assert np.any(fly(world._replace(table=backwards)).poses[:, 0] != fly().poses[:, 0])
     # Greedy actions repeat themselves: one observation always leads to the same action.
     state = trained.run.task.reset(jax.random.key(1), jax.tree.map(lambda leaf: leaf[0], world.table), None)
     seen = trained.run.task.observe(jax.random.key(2), state, world.params)

@@ -1,4 +1,4 @@
-"""Networks: features become the parameters of an action's distribution and a value."""
+"""Networks: from features to the parameters of an action's distribution and a value."""
 
 from __future__ import annotations
 

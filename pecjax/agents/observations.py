@@ -1,4 +1,4 @@
-"""Observations: trees of arrays brought into rows of features, and packed for a replay."""
+"""Observations: trees of arrays as rows of features, and packed for a replay."""
 
 from __future__ import annotations
 

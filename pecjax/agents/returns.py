@@ -1,4 +1,4 @@
-"""Returns: what an action turned out to be worth."""
+"""Returns: advantages and targets."""
 
 from __future__ import annotations
 

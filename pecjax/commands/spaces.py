@@ -53,7 +53,7 @@ class Spaces:
 
 
 def _check(space: Space) -> None:
-    """Makes sure that a space is what its recipe makes today; `read_space` has seen to the rest."""
+    """Makes sure that a space is what its recipe makes today; `read_space` has checked the rest."""
     again = make_space(space.name)
     if again.version != space.version:
         raise InputError(

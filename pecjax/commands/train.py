@@ -24,7 +24,7 @@ class Train:
     """Trains a drone and writes a run folder with its figures.
 
     Attributes:
-        preset: where the settings begin from: fast, rllib085 (the paper's own) or image (64×48) for
+        preset: the settings to start from: fast, rllib085 (the paper's own) or image (64×48) for
             ppo, apex-fast or apex-rllib085 for apex. (default: fast or apex-fast)
         agent: the learner: ppo, apex, or one of your own as my.module:Class. (default: the preset's)
         task: what is learned: rooms, or one of your own as my.module:Class. (default: rooms)
@@ -46,8 +46,8 @@ class Train:
         resume: resumes the run in --out where it was stopped, or with more --iterations.
         coordinator: where several processes share the training, given to all of them alike: HOST:PORT of
             the first, or auto under SLURM or Open MPI. (default: this process is alone)
-        num_processes: how many there are; auto knows.
-        process_id: which of them this is, from 0; auto knows.
+        num_processes: how many there are. (not needed with --coordinator auto)
+        process_id: the number of this process, from 0. (not needed with --coordinator auto)
         settings: options by their dotted paths (see `settings_args`).
     """
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
 
 from pecjax.plotting.style import FAILURES, PATH, TIMEOUT, name_place
+from pecjax.training.run_arrays import endings, run_arrays
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.run_tables import trajectory_table
 
 
-class Ending(NamedTuple):
+class Look(NamedTuple):
     """How flights that ended in one way look, and are spoken of.
 
     Attributes:
@@ -34,11 +34,11 @@ class Ending(NamedTuple):
         return Line2D([], [], color=self.color, marker=self.mark, markersize=5, label=self.label)
 
 
-ENDINGS = {
-    "goal": Ending("Flight to the goal", "reach their goal", PATH, ""),
-    "collision": Ending("Flight into a wall", "collide", FAILURES, "X"),
-    "timeout": Ending("Flight out of time", "run out of time", TIMEOUT, "s"),
-    "other": Ending("Flight that failed", "fail", FAILURES, "P"),
+LOOKS = {
+    "goal": Look("Flight to the goal", "reach their goal", PATH, ""),
+    "collision": Look("Flight into a wall", "collide", FAILURES, "X"),
+    "timeout": Look("Flight out of time", "run out of time", TIMEOUT, "s"),
+    "other": Look("Flight that failed", "fail", FAILURES, "P"),
 }
 
 
@@ -49,19 +49,17 @@ def flights_of(run: RunDirectory) -> pd.DataFrame:
         InputError: the run is not finished.
     """
     table, kept = trajectory_table(run), run.iterations("episodes")
-    arrays = run.arrays("episodes", kept[-1]) if kept else {}
-    ending = np.where(table.success == 1, "goal", "other").astype(object)
-    for kind in ("collision", "timeout"):
-        if kind in arrays:
-            ending[(table.success != 1) & (arrays[kind][table.episode] > 0)] = kind
-    return table.assign(ending=ending)
+    if not kept:  # version 0.1 wrote whether a flight succeeded, and no more
+        return table.assign(ending=endings({"success": table.success}))
+    with run_arrays(run, "episodes", kept[-1]) as arrays:
+        return table.assign(ending=endings(arrays)[table.episode])
 
 
 def draw_flights(axes: Axes, trajectories: pd.DataFrame) -> None:
     """The flights with an arrow half way; where one failed, its mark and its configuration."""
     named = set()
     for _, path in trajectories.groupby("episode"):
-        about, points = ENDINGS[path.ending.iloc[0]], path[["x", "y"]].to_numpy()
+        about, points = LOOKS[path.ending.iloc[0]], path[["x", "y"]].to_numpy()
         failed = bool(about.mark)
         style = {"color": about.color, "linewidth": 1.2 if failed else 0.8, "alpha": 1 if failed else 0.6}
         axes.plot(*points.T, **style, zorder=2.5 if failed else 2)
@@ -77,5 +75,5 @@ def draw_flights(axes: Axes, trajectories: pd.DataFrame) -> None:
                 name_place(axes, name, (points[-1, 0], points[-1, 1]))
             named.add(name)
     counts = trajectories.groupby("episode").ending.first().value_counts()
-    parts = [f"{counts[kind]} {about.words}" for kind, about in ENDINGS.items() if kind in counts]
+    parts = [f"{counts[kind]} {about.words}" for kind, about in LOOKS.items() if kind in counts]
     axes.set_title(f"Of {counts.sum()} flights, {', '.join(parts)}", loc="left")

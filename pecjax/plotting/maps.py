@@ -14,9 +14,10 @@ from matplotlib.patches import Circle, FancyArrowPatch, Patch, Rectangle
 
 from pecjax.envs.axes import fill
 from pecjax.envs.rooms.config import Configurations
+from pecjax.envs.rooms.map_file import Map
 from pecjax.envs.rooms.rules import NavigationSettings
 from pecjax.envs.rooms.scene import Scene
-from pecjax.plotting.flights import ENDINGS, draw_flights
+from pecjax.plotting.flights import LOOKS, draw_flights
 from pecjax.plotting.style import GOAL, PAGE, name_place, styled
 
 Place = tuple[float, float]  # m
@@ -47,7 +48,7 @@ def rooms(
 
     Args:
         scene: one of the task's maps; configurations in others are left out.
-        trajectories: columns episode, config, ending (one of `ENDINGS`), x and y, a row a step.
+        trajectories: columns episode, config, ending (one of `LOOKS`), x and y, a row a step.
         rules: of the task.
         map_id: the map's place among the task's.
     """
@@ -55,7 +56,7 @@ def rooms(
     shape = (top - bottom) / (right - left)
     figure = Figure((PAGE, float(np.clip(5.0 * shape + 0.4, 2, 7))), layout="constrained")
     axes = figure.subplots()
-    floor_plan(axes, scene, rules)
+    floor_plan(axes, scene.map, scene.drone_radius, rules)
     ways = ways_of(table, map_id)
     if trajectories is None:
         for start, goal in ways.values():
@@ -80,30 +81,34 @@ def _legend(axes: Axes, trajectories: pd.DataFrame | None, rules: NavigationSett
     if trajectories is None:
         entries.append(Line2D([], [], color="0.5", linestyle=":", label="From start to goal"))
     else:
-        entries += [about.entry() for kind, about in ENDINGS.items() if kind in set(trajectories.ending)]
+        entries += [about.entry() for kind, about in LOOKS.items() if kind in set(trajectories.ending)]
     entries.append(Patch(**SOLID, label="Wall"))
     if any(patch.get_hatch() for patch in axes.patches):
         entries.append(Patch(**PASSED, label="Wall below or above flights"))
     return entries
 
 
-def floor_plan(axes: Axes, scene: Scene, rules: NavigationSettings = NavigationSettings()) -> None:
-    """The walls from above, in metres: solid what the drone can hit at its flight height.
+def floor_plan(axes: Axes, one: Map, radius: float, rules: NavigationSettings = NavigationSettings()) -> None:
+    """The walls of a map from above, in metres: solid what a drone can hit at its flight height.
 
     Walls that it flies over or under are hatched; a floor or a ceiling is outlined only.
+
+    Args:
+        radius: m, of the drone.
     """
-    limits = scene.map.bounds
-    for lower, upper in zip(scene.wall_lower, scene.wall_upper, strict=True):
+    limits = one.bounds
+    for lower, upper in zip(one.lower, one.upper, strict=True):
         (x, y), (right, top) = np.clip([lower[:2], upper[:2]], *limits)
-        style = _wall_style(scene, rules.flight_height, lower, upper)
+        style = _wall_style(limits, radius, rules.flight_height, lower, upper)
         axes.add_patch(Rectangle((x, y), right - x, top - y, **style))
     (left, bottom), (right, top) = limits
     axes.set(xlim=(left, right), ylim=(bottom, top), xlabel="x (m)", ylabel="y (m)", aspect="equal")
     axes.locator_params(steps=[1, 2, 5, 10])
 
 
-def _wall_style(scene: Scene, height: float, lower: np.ndarray, upper: np.ndarray) -> dict[str, Any]:
-    limits, radius = scene.map.bounds, scene.drone_radius
+def _wall_style(
+    limits: np.ndarray, radius: float, height: float, lower: np.ndarray, upper: np.ndarray
+) -> dict[str, Any]:
     if lower[2] - radius <= height <= upper[2] + radius:
         return SOLID
     (low, high), inside = limits, np.clip([lower[:2], upper[:2]], *limits)

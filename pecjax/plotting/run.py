@@ -37,6 +37,7 @@ from pecjax.studies.grid import shown_space, space_name
 from pecjax.studies.statistics import effective_number, trial_and_failure_ratios
 from pecjax.training.kinds import AGENT_LABELS, kind_name, sampler_label
 from pecjax.training.measures import wilson
+from pecjax.training.run_arrays import run_arrays
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.run_tables import configuration_table
 from pecjax.training.settings import RunSettings
@@ -90,8 +91,12 @@ def _one_map(task: Rooms, flights: pd.DataFrame) -> Figure:
 
 
 def _returns(run: RunDirectory) -> dict[int, np.ndarray]:
-    """The returns (E,) of the episodes of each evaluation; older versions did not keep them."""
-    return {at: run.arrays("episodes", at)["return"] for at in run.iterations("episodes")}
+    """The returns (E,) of the episodes of each evaluation; version 0.1 kept none."""
+    found = {}
+    for at in run.iterations("episodes"):
+        with run_arrays(run, "episodes", at) as arrays:
+            found[at] = arrays["return"].astype(float).ravel()
+    return found
 
 
 def _actions(greedy: bool) -> str:

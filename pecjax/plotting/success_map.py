@@ -45,7 +45,7 @@ def success(
         what a colour bar needs.
     """
     shade = ScalarMappable(Normalize(low, 1), COLORS)
-    floor_plan(axes, scene, rules)
+    floor_plan(axes, scene.map, scene.drone_radius, rules)
     ways = ways_of(table)
     arrows = _arrows(scene, ways, rules)
     for row in sorted(ways, key=lambda row: -ratios[row]):  # the lowest lie on top

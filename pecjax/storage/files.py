@@ -131,7 +131,7 @@ def check_free(folder: Path) -> None:
 def alone(folder: Path) -> Iterator[None]:
     """Keeps other trainings from writing a run or a study into the folder at the same time.
 
-    Of the processes that share a training the lead holds the place for all.
+    Where several processes share a training, the primary process holds the lock for all.
 
     Raises:
         InputError: another one does already.

@@ -45,7 +45,7 @@ def steps_to_exit(steps: np.ndarray, ratios: np.ndarray, threshold: float) -> fl
 
 
 def area_under_curve(steps: np.ndarray, ratios: np.ndarray) -> float:
-    """The mean of the curve from the first to the last of its steps, by trapezes."""
+    """The mean of the curve from the first to the last of its steps, by the trapezoidal rule."""
     if len(steps) == 1:
         return float(ratios[0])
     return float(np.trapezoid(ratios, steps) / (steps[-1] - steps[0]))

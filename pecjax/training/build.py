@@ -20,7 +20,7 @@ Tree = TypeVar("Tree")
 
 
 class Run(NamedTuple):
-    """What a run is built from; its worlds are on all devices of the mesh.
+    """The parts of a run; its worlds are on all devices of the mesh.
 
     Attributes:
         eval_set: what policies are evaluated in; `eval_world` is the world with that table.
@@ -48,8 +48,8 @@ def build(settings: RunSettings, num_devices: int, *, trains: bool = True) -> Ru
             needs neither.
 
     Raises:
-        InputError: settings that are absurd or do not fit one another, a world that is wrong, or
-            observations or a replay that memory cannot hold.
+        InputError: settings are out of range or do not fit one another, the world is wrong, or memory
+            cannot hold the observations or the replay.
     """
     check_settings(settings)
     task, world = settings.task.make()

@@ -1,9 +1,10 @@
-"""Measures: what the episodes of an evaluation come to."""
+"""Measures over the episodes of an evaluation."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import jax
 import numpy as np
 from scipy import stats
 
@@ -78,9 +79,7 @@ def by_group(result: EvalResult, about: EvalSet) -> list[tuple[str, np.ndarray]]
 
 def only(result: EvalResult, chosen: np.ndarray) -> EvalResult:
     """The episodes (E,) bool that are chosen."""
-    metrics = {name: value[chosen] for name, value in result.metrics.items()}
-    paths = None if result.paths is None else result.paths[chosen]
-    return EvalResult(*(leaf[chosen] for leaf in result[:4]), metrics=metrics, paths=paths)
+    return jax.tree.map(lambda leaf: leaf[chosen], result)
 
 
 def wilson(successes: int, episodes: int) -> tuple[float, float]:

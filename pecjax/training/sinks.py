@@ -1,4 +1,4 @@
-"""Sinks: who listens to the loop, and what a person sees of it."""
+"""Sinks: listeners to the training loop, and its progress bar."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ SECONDS_BETWEEN_LINES = 10.0  # where there is no terminal to draw a bar on
 
 
 class Sink:
-    """A listener: extend it and overwrite what is of interest.
+    """A listener to the training loop: extend it and override the methods you need.
 
-    Where several processes share a training, each has sinks; only the first should write.
+    Where several processes share a training, each has sinks, and only the first should write.
     """
 
     def open(self, runs: Sequence[str], iteration: int) -> None:
@@ -72,7 +72,7 @@ class Sinks(Sink):
 
 
 class Progress(Sink):
-    """A live bar over iterations on a terminal, else a line every few seconds, both on stderr."""
+    """A progress bar on a terminal, otherwise a line every few seconds; both on stderr."""
 
     def __init__(self, iterations: int, episodes: str = "") -> None:
         """Prepares a bar of so many iterations; it shows with the first row.
@@ -110,7 +110,7 @@ class Progress(Sink):
         self._console.print(line, markup=False)
 
     def skip(self, iterations: int) -> None:
-        """Counts so many iterations as done, without a word about how long they took."""
+        """Counts some iterations as done, without using them for the pace."""
         self._done += iterations
         if self._since:
             since, before = self._since

@@ -1,4 +1,4 @@
-"""Training: a run from scratch, or resumed where it was stopped."""
+"""Training: runs from scratch or resumes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def train(
     """Trains from scratch and writes the run directory.
 
     Args:
-        folder: where to; must be empty or not there.
+        folder: the run's folder, which must be empty or not exist.
         devices: how many share the environments, all that divide them when None.
         sinks: further listeners.
 
@@ -40,7 +40,7 @@ def train(
         the content of summary.json.
 
     Raises:
-        InputError: anything the user can put right; nothing has been written then.
+        InputError: wrong input; nothing has been written then.
         StoppedError: a signal asked for it; `resume` continues it.
         DivergedError: a figure that is not finite.
         LostProcessError: one of several processes is gone (see `distributed.join`).
@@ -122,7 +122,7 @@ def _go(
 def _introduce(
     settings: RunSettings, run: Run, directory: RunDirectory, progress: Progress, is_resumed: bool
 ) -> None:
-    """Says what is trained, on what."""
+    """Prints what is trained, and on which devices."""
     agent, num_devices, available = settings.agent, run.mesh.devices.size, len(jax.devices())
     advice = "" if is_resumed else advice_on_idle_devices(agent.num_envs, agent.device_divisor, num_devices)
     on = f"{num_devices} of {available} devices{advice}" if available > 1 else "1 device"
