@@ -72,5 +72,5 @@ def _points(axes: Axes, places: Sequence[float], parts: list[Report]) -> None:
     ratios = np.array([part["goal_ratio"] for part in parts])
     low, high = np.array([part["interval"] for part in parts]).T
     errors = np.clip([ratios - low, high - ratios], 0, None)
-    label = "Goal ratio of n episodes, 95 % interval (Wilson); line: from the lowest to the highest value"
+    label = "Goal ratio of n episodes, 95 % interval (Wilson); horizontal line: range of the value"
     axes.errorbar(places, ratios, errors, fmt="o", color=BLACK, ecolor=PATH, elinewidth=0.8, label=label)
