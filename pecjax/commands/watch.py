@@ -6,6 +6,7 @@ import importlib
 import os
 import sys
 import webbrowser
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -20,6 +21,8 @@ from pecjax.training.demos import find_run, is_demo
 from pecjax.training.kinds import run_label
 from pecjax.training.rows import episode_arrays, recording_arrays
 from pecjax.viewing.history import History
+from pecjax.viewing.movie import followed, write_movie
+from pecjax.viewing.mujoco_view import mujoco_frames
 from pecjax.viewing.page import page
 from pecjax.viewing.recording import Recording, make_recording, read_recording
 
@@ -65,7 +68,7 @@ class Watch(Flown):
                 raise InputError(f"{path}: give a name that ends in {suffix}")
         recording, history = self._recorded() if self._as_recorded() else (self._flown(), None)
         for path in movies:
-            importlib.import_module("pecjax.viewing.movie").write_movie(path, recording, self.renderer)
+            write_movie(path, self._frames(recording), recording.task.settings.control_period)
             print(path)
         if not movies:
             out = self.out or self._default_page()
@@ -88,6 +91,13 @@ class Watch(Flown):
         arrays = episode_arrays(result) | recording_arrays(result, np.arange(len(result.success)))
         title = f"{run_label(trained.settings)}, after iteration {trained.iteration}"
         return make_recording(title, trained.run.task, trained.run.eval_world, arrays, self.flights)
+
+    def _frames(self, recording: Recording) -> Iterator[np.ndarray]:
+        follow = followed(recording)
+        if self.renderer == "mujoco":
+            return mujoco_frames(recording, follow)
+        # Loaded only here: matplotlib would hold up the rest by a second.
+        return importlib.import_module("pecjax.viewing.top_view").top_frames(recording, follow)
 
     def _default_page(self) -> Path:
         return Path(f"{self.folder}.html") if is_demo(self.folder) else self.folder / "watch.html"

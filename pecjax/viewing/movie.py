@@ -9,7 +9,6 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from pecjax.errors import InputError
 from pecjax.storage import files
@@ -41,6 +40,8 @@ def write_movie(path: Path, frames: Iterator[np.ndarray], period: float) -> None
 
 
 def _write_gif(path: Path, frames: Iterator[np.ndarray], period: float) -> None:
+    from PIL import Image
+
     first, *rest = [Image.fromarray(frame).quantize(_COLORS) for frame in frames]
     # GIF counts hundredths of a second.
     shown = [round(100 * period) * 10] * len(rest) + [round(1000 * PAUSE)]
