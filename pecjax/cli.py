@@ -1,4 +1,4 @@
-"""The command line: `pecjax train`, `eval`, `study`, `figures`, `check`, `maps`, `spaces`; `--version`."""
+"""The command line: `pecjax train`, `eval`, `study`, `figures`, `export`, `check`, `maps`, `spaces`; `--version`."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import pecjax
 from pecjax.commands import settings_args
 from pecjax.commands.check import Check
 from pecjax.commands.evaluate import Eval
+from pecjax.commands.export import Export
 from pecjax.commands.figures import Figures
 from pecjax.commands.maps import ACTIONS, Maps
 from pecjax.commands.options import read
@@ -30,6 +31,7 @@ Command = (
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Study, tyro.conf.subcommand("study")]
     | Annotated[Figures, tyro.conf.subcommand("figures")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Maps, tyro.conf.subcommand("maps")]
     | Annotated[Spaces, tyro.conf.subcommand("spaces")]
