@@ -18,8 +18,8 @@ class Simulation:
     def __init__(self, scene, about):
         """Reads the MJCF file; `about` is the content of the JSON."""
         self.model = model = mujoco.MjModel.from_xml_path(str(scene))
-        for off in (mujoco.mjtDisableBit.mjDSBL_CONTACT, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
-            model.opt.disableflags &= ~off  # contacts tell of collisions
+        no_contacts = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        model.opt.disableflags &= ~int(no_contacts)  # contacts tell of collisions
         for_show = (model.geom_contype == 0) & (model.geom_conaffinity == 0)
         model.geom_matid[for_show], model.geom_rgba[for_show, 3] = -1, 0  # rays pass what is transparent
         self.data, self.drone = mujoco.MjData(model), model.body("drone").id

@@ -1,4 +1,7 @@
-"""The command line: `pecjax train`, `eval`, `study`, `figures`, `export`, `check`, `maps`, `spaces`; `--version`."""
+"""The command line: `pecjax train`, `eval`, `study`, `figures`, `export`, `check`, `maps`, `spaces`.
+
+`pecjax --version` prints the version.
+"""
 
 from __future__ import annotations
 

@@ -60,7 +60,9 @@ def policy_of(trained: Trained) -> Policy:
     elif type(agent) is Apex:
         network, output = make_q_network(task, agent), "q_values"
     else:
-        raise InputError(f"the agent {kind_name(agent)} cannot be exported; only policies of ppo and apex can")
+        raise InputError(
+            f"the agent {kind_name(agent)} cannot be exported; only policies of ppo and apex can"
+        )
     names = input_names(task.observation_space)
     for name in names:
         if names.count(name) > 1 or name in (output, ACTION):
@@ -70,7 +72,10 @@ def policy_of(trained: Trained) -> Policy:
 
 
 def input_names(space: Any) -> tuple[str, ...]:
-    """A name for each leaf of an observation space: its keys with dots between; `observation` for a lone box."""
+    """A name for each leaf of an observation space: its keys with dots between.
+
+    A lone box is the `observation`.
+    """
     paths = [path for path, _ in jax.tree_util.tree_flatten_with_path(space)[0]]
     return tuple(jax.tree_util.keystr(path, simple=True, separator=".") or "observation" for path in paths)
 
