@@ -55,8 +55,7 @@ class PolicyNode:
         known = {name: value for name, (at, value) in self.latest.items() if now - at < limit}
         if "pose" in known:
             position, quaternion = known["pose"]
-            gain = self.policy.about["controller"]["height"]
-            climb = gain * (control["flight_height_m"] - position[2])
+            climb = self.policy.about["controller"]["height"] * (control["flight_height_m"] - position[2])
             if self.goal is not None and "depth" in known:
                 distance, bearing = towards(self.goal, position, heading(quaternion))
                 if distance >= control["goal_radius_m"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -62,12 +62,16 @@ def export_policy(
         raise InputError(f"unknown format '{format}'{nearest(format, [*FORMATS])}; give onnx or jax")
     name, library, serialized = FORMATS[format]
     out = Path(folder) / name if out is None else Path(out)
-    described = out.with_suffix(".json")
-    if out.is_dir() or described == out:
+    if out.is_dir() or out.suffix == ".json":
         raise InputError(f"{out}: is a folder or ends in .json; give a file such as {name} with --out")
+    described = out.with_suffix(".json")
+    try:
+        importlib.import_module(library)
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"the format {format} needs the library {library}; pip install 'pecjax[export]'"
+        ) from error
     trained = open_run(folder, checkpoint)
-    if importlib.util.find_spec(library) is None:
-        raise InputError(f"the format {format} needs the library {library}; pip install 'pecjax[export]'")
     policy = policy_of(trained)
     content = serialized(policy)
     about = {"format": format, "file": out.name, "sha256": hashlib.sha256(content).hexdigest()}
