@@ -1,7 +1,4 @@
-"""The command line: `pecjax train`, `eval`, `study`, `figures`, `export`, `check`, `maps`, `spaces`.
-
-`pecjax --version` prints the version.
-"""
+"""The command line: `pecjax train`, `eval`, `study`, `figures`, `check`, `maps`, `spaces`; `--version`."""
 
 from __future__ import annotations
 
