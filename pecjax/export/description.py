@@ -29,8 +29,8 @@ _MEANING = {
 _OUTPUTS = {
     "logits": "logits of the actions; softmax makes probabilities of them",
     "q_values": "discounted return expected of each action, in units of the learner's scaled reward",
-    "parameters": "means of a normal distribution, then what softplus makes its standard deviations of, less "
-    f"{MIN_SCALE:g}; tanh squashes what is drawn into the bounds of the action",
+    "parameters": f"means of normal distributions, then values x whose softplus(x) + {MIN_SCALE:g} are their "
+    "standard deviations; the action is low + (high - low) (tanh(drawn) + 1) / 2",
 }
 
 
