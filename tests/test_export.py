@@ -458,8 +458,9 @@ def test_the_node_stands_still_where_it_knows_too_little(node, examples, runs):
 @pytest.mark.slow
 def test_it_reaches_goals_as_often_as_in_mjx(tmp_path, examples):
     """Of a policy that reaches some: the difference of two ratios, 99.9 %."""
-    settings = pecjax.set_path(pecjax.find_preset("fast"), "stop.iterations", 20)
-    settings = pecjax.set_path(settings, "evaluation.episodes", 200)
+    settings = pecjax.find_preset("fast")
+    for path, value in (("stop.iterations", 24), ("evaluation.episodes", 200), ("task.max_steps", 200)):
+        settings = pecjax.set_path(settings, path, value)
     ours = pecjax.train(settings, out=tmp_path / "run").evaluation[-1]["goal_ratio"]
     pecjax.export_policy(tmp_path / "run")
     theirs = examples["fly_exported"].main(tmp_path / "run", 200) / 200
