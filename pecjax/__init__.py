@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         load_scene as load_scene,
     )
     from pecjax.envs.task import Task as Task, TaskSettings as TaskSettings
+    from pecjax.export.files import export_policy as export_policy
     from pecjax.settings_tree import set_path as set_path
     from pecjax.training.load import open_run as open_run
     from pecjax.training.presets import find_preset as find_preset
@@ -55,6 +56,7 @@ _NAMES = {
     ),
     "Task": "pecjax.envs.task",
     "TaskSettings": "pecjax.envs.task",
+    "export_policy": "pecjax.export.files",
     "set_path": "pecjax.settings_tree",
     "RunSettings": "pecjax.training.settings",
     "Sink": "pecjax.training.sinks",

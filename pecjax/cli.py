@@ -15,6 +15,7 @@ import pecjax
 from pecjax.commands import settings_args
 from pecjax.commands.check import Check
 from pecjax.commands.evaluate import Eval
+from pecjax.commands.export import Export
 from pecjax.commands.figures import Figures
 from pecjax.commands.maps import ACTIONS, Maps
 from pecjax.commands.options import read
@@ -32,6 +33,7 @@ Command = (
     | Annotated[Watch, tyro.conf.subcommand("watch")]
     | Annotated[Study, tyro.conf.subcommand("study")]
     | Annotated[Figures, tyro.conf.subcommand("figures")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Maps, tyro.conf.subcommand("maps")]
     | Annotated[Spaces, tyro.conf.subcommand("spaces")]

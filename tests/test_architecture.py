@@ -101,6 +101,7 @@ def test_importing_leaves_the_environment_and_the_devices_alone(imported):
         "RunSettings",
         "train",
         "open_run",
+        "export_policy",
         "find_preset",
         "set_path",
         "Sink",

@@ -91,10 +91,10 @@ def read_settings(path: Path, kind: type[Settings], what: str, today: Callable[[
         ) from error
 
 
-def replace_file(path: Path, text: str) -> None:
+def replace_file(path: Path, content: str | bytes) -> None:
     """Puts a whole file in place of another: whoever reads sees the old or the new one."""
     new = path.with_name(f".{path.name}.new")
-    new.write_text(text)
+    new.write_bytes(content.encode() if isinstance(content, str) else content)
     os.replace(new, path)
 
 
