@@ -12,9 +12,9 @@ import pecjax
 from pecjax.runtime.devices import keep_compiled_programs, use_all_cores
 
 
-def main(trials=8, iterations=60, every=20):
+def main(trials=8, iterations=60, every=20, base=pecjax.RunSettings()):
     """Trains once for each trial, prints what came out, and returns the Optuna study."""
-    base = pecjax.set_path(pecjax.RunSettings(), "stop.iterations", iterations)
+    base = pecjax.set_path(base, "stop.iterations", iterations)
     base = pecjax.set_path(base, "evaluation.every", every)
 
     def objective(trial):

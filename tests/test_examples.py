@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from contract_task import check_task
 
+import pecjax
 from pecjax.envs.task import take_configs
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -67,6 +68,7 @@ def test_an_environment_of_gymnax():
     assert 0 <= example.main(iterations=2) <= 1
 
 
+@pytest.mark.slow
 def test_a_search_ends_trainings_that_fall_behind(capsys, monkeypatch):
     optuna = pytest.importorskip("optuna")
     monkeypatch.setattr(optuna.pruners, "MedianPruner", lambda **_: FromTheSecond())
@@ -75,7 +77,9 @@ def test_a_search_ends_trainings_that_fall_behind(capsys, monkeypatch):
         def prune(self, study, trial):
             return trial.number > 0
 
-    study = importlib.import_module("search").main(trials=2, iterations=2, every=1)
+    puck = importlib.import_module("own_task").PuckSettings(number=3)
+    base = pecjax.RunSettings(task=puck, agent=pecjax.agents.PPO(num_envs=8))
+    study = importlib.import_module("search").main(trials=2, iterations=2, every=1, base=base)
     finished, pruned = study.trials
     assert 0 <= finished.value <= 1 and [*finished.intermediate_values] == [1]
     assert pruned.state == optuna.trial.TrialState.PRUNED

@@ -1,9 +1,11 @@
 """Tracking: what TensorBoard and W&B hold is what the run's tables hold, also after a resume."""
 
 import json
+import re
 import struct
 import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,6 +21,7 @@ from pecjax.cli import main
 from pecjax.errors import DivergedError
 from pecjax.training import train as training
 from pecjax.training.kinds import run_label
+from pecjax.training.sinks import Sinks
 
 
 @dataclass(frozen=True)
@@ -156,46 +159,39 @@ def test_wandb_holds_the_tables_after_a_resume(tmp_path, monkeypatch):
     assert_holds_the_tables(found, folder)
 
 
-def test_wandb_is_not_sent_what_it_has(tmp_path, monkeypatch):
-    """Online, a resumed run tells the first step that it lacks."""
+@pytest.fixture
+def online(monkeypatch):
+    """What W&B is told of a run of which it has the first three steps; then how it ended."""
     wandb = pytest.importorskip("wandb")
-    told = []
+    monkeypatch.setenv("WANDB_MODE", "offline")  # so that nobody is asked to log in
+    told, codes = [], []
+    run = SimpleNamespace(
+        step=4,
+        log=lambda row, step: told.append((step, row)),
+        define_metric=lambda *_, **__: None,
+        finish=lambda exit_code: codes.append(exit_code),
+    )
+    monkeypatch.setattr(wandb, "init", lambda **_: run)
+    return told, codes
 
-    def init(**options):
-        def log(row, step):
-            told.append((step, row))
 
-        return SimpleNamespace(step=4, log=log, define_metric=lambda *_, **__: None, finish=lambda **_: None)
-
-    training.train(settings(3), tmp_path / "run", 1)
-    monkeypatch.setattr(wandb, "init", init)
-    monkeypatch.setenv("WANDB_MODE", "offline")
-    training.resume(settings(5), tmp_path / "run", 1, [pecjax.sinks.WandB()])
-    assert [step for step, _ in told] == [4, 4, 5, 5]
+def test_wandb_is_not_sent_what_it_has(tracked, online):
+    sink = pecjax.sinks.WandB()
+    sink.open([str(tracked)], 2)
+    sink.rows("metrics", [{"iteration": 3, "env_steps": 96, "goal_ratio": 0.5}])
+    sink.rows("metrics", [{"iteration": 6, "env_steps": 192, "goal_ratio": float("nan"), "kl": 0.1}])
+    told, _ = online
+    assert [step for step, _ in told] == [4, 4, 5, 5, 6]
     assert "metrics/goal_ratio" in told[0][1] and "evaluation/goal_ratio" in told[1][1]
+    assert told[-1][1] == {"iteration": 6, "env_steps": 192, "metrics/kl": 0.1}
 
 
-def test_a_training_that_fails_has_failed_on_wandb(tmp_path, monkeypatch):
-    wandb = pytest.importorskip("wandb")
-    codes = []
-
-    def init(**options):
-        return SimpleNamespace(
-            step=0,
-            log=lambda row, step: None,
-            define_metric=lambda *_, **__: None,
-            finish=lambda exit_code: codes.append(exit_code),
-        )
-
-    def diverge(table, rows):
+def test_a_training_that_fails_has_failed_on_wandb(tracked, online):
+    with pytest.raises(DivergedError), Sinks([pecjax.sinks.WandB()], [str(tracked)], 0):
         raise DivergedError("as if it had")
-
-    monkeypatch.setattr(wandb, "init", init)
-    sinks = [pecjax.sinks.WandB(mode="offline"), pecjax.sinks.Callback(diverge)]
-    with pytest.raises(DivergedError):
-        training.train(settings(2), tmp_path / "failed", 1, sinks)
-    training.train(settings(2), tmp_path / "whole", 1, sinks[:1])
-    assert codes == [1, 0]
+    with Sinks([pecjax.sinks.WandB()], [str(tracked)], 0):
+        pass
+    assert online[1] == [1, 0]
 
 
 def test_a_callback_hears_of_every_row():
@@ -263,3 +259,14 @@ def test_the_command_line_tracks(tmp_path, monkeypatch):
     assert main(["train", "--tensorboard", "--wandb", "rooms", "--out", str(tmp_path / "run")]) == 2
     assert [type(sink).__name__ for sink in heard["sinks"]] == ["TensorBoard", "WandB"]
     assert main(["train", "--out", str(tmp_path / "run")]) == 2 and heard["sinks"] == []
+
+
+@pytest.mark.slow
+def test_the_pages_python_runs_as_it_stands(gliding, tmp_path, monkeypatch):
+    pytest.importorskip("tensorboardX")
+    monkeypatch.chdir(tmp_path)
+    page = Path(__file__).parents[1] / "docs" / "tracking.md"
+    names = {}
+    for block in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL):
+        exec(block, names)
+    assert len(names["goal_ratios"]) == 1 and list(tmp_path.glob("logs/first/events.out.tfevents.*"))

@@ -65,15 +65,16 @@ def check_task(task: Task, world: World) -> None:
     if not isinstance(transition, Transition):
         raise InputError(f"{name}: step gives {type(transition).__name__}; give a Transition")
     _expect(f"{name}: the state after step", transition.state, state, "the state of reset")
-    promised = Transition(
-        state,
-        reward=_array((), jnp.float32),
-        **dict.fromkeys(("terminated", "truncated", "success"), _array((), jnp.bool_)),
-        metrics={metric: _array((), None) for metric in task.metrics},
-    )
-    for part in ("reward", "terminated", "truncated", "success"):
-        _expect(f"{name}: {part}", getattr(transition, part), getattr(promised, part), "Transition")
-    _expect(f"{name}: the metrics of step", transition.metrics, promised.metrics, "Task.metrics", types=False)
+    flag = _array((), jnp.bool_)
+    for part, promised in (
+        ("reward", _array(())),
+        ("terminated", flag),
+        ("truncated", flag),
+        ("success", flag),
+    ):
+        _expect(f"{name}: {part}", getattr(transition, part), promised, "Transition")
+    metrics = dict.fromkeys(task.metrics, _array(()))
+    _expect(f"{name}: the metrics of step", transition.metrics, metrics, "Task.metrics", types=False)
 
 
 def _first_step(task: Task, key: jax.Array, world: World) -> tuple[Any, Transition, Any]:
@@ -100,17 +101,17 @@ def check_sampler(sampler: Sampler, name: str, num_configs: int) -> None:
     ids = jax.eval_shape(lambda state, key: sampler.sample(state, key, (_BATCH,)), state, key)
     _expect(f"{name}: sample", ids, _array((_BATCH,), jnp.int32), "Sampler.sample of that shape")
     weights = jax.eval_shape(sampler.probabilities, state)
-    _expect(f"{name}: probabilities", weights, _array((num_configs,), jnp.float32), "N configurations")
+    _expect(f"{name}: probabilities", weights, _array((num_configs,)), "N configurations")
     after = jax.eval_shape(sampler.update, state, outcomes)
     _expect(f"{name}: the state after update", after, state, "the state of init")
 
 
-def _array(shape: tuple[int, ...], dtype: Any) -> jax.ShapeDtypeStruct:
-    return jax.ShapeDtypeStruct(shape, dtype or jnp.float32)
+def _array(shape: tuple[int, ...], dtype: Any = jnp.float32) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(shape, dtype)
 
 
 def _as_arrays(space: Any) -> Any:
-    return jax.tree.map(lambda box: _array(box.shape, None), space)
+    return jax.tree.map(lambda box: _array(box.shape), space)
 
 
 def _expect(what: str, given: Any, promised: Any, by: str, types: bool = True) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from pecjax import settings_tree
 from pecjax.runtime.distributed import primary_only
@@ -46,7 +47,7 @@ class TensorBoard(Sink):
         run = Path(runs[0])
         settings = RunDirectory(run).settings()
         folder = self._folder or run / "tensorboard"
-        self._writer = SummaryWriter(str(folder), purge_step=0 if iteration else None)
+        self._writer: Any = SummaryWriter(str(folder), purge_step=0 if iteration else None)
         self._writer.add_text("run", run_label(settings), 0)
         leaves = {
             path: value if isinstance(value, bool | int | float | str) else str(value)
