@@ -1,4 +1,4 @@
-"""What a tracker is told of a run beside its new rows: which run it is, and the rows it already has."""
+"""Rows as trackers take them: those that a run already has, and the figures of one by name."""
 
 from __future__ import annotations
 
