@@ -19,8 +19,6 @@ from pecjax.training.run_directory import RunDirectory
 from pecjax.training.sinks.base import Sink
 from pecjax.training.sinks.history import POSITION, past_rows, scalars
 
-_ADVICE = "log in with `wandb login`, or set WANDB_MODE=offline and upload later with `wandb sync`"
-
 
 class WandB(Sink):
     """Logs every column of both tables against environment steps, and the settings as the run's config.
@@ -48,7 +46,7 @@ class WandB(Sink):
         try:
             wandb.login()
         except wandb.Error as error:
-            raise InputError(f"wandb: {error}; {_ADVICE}") from error
+            raise _in_one_line(error) from error
 
     @primary_only
     def open(self, runs: Sequence[str], iteration: int) -> None:
@@ -71,7 +69,7 @@ class WandB(Sink):
         try:
             self._run = wandb.init(**{**known, **self._options})
         except wandb.Error as error:
-            raise InputError(f"wandb: {error}; {_ADVICE}") from error
+            raise _in_one_line(error) from error
         self._run.define_metric("env_steps", hidden=True)
         self._run.define_metric("*", step_metric="env_steps")
         self._first = self._run.step  # of those that W&B lacks
@@ -101,3 +99,10 @@ def _run_id(folder: Path) -> str:
         path.parent.mkdir(exist_ok=True)
         path.write_text(secrets.token_hex(4))
     return path.read_text()
+
+
+def _in_one_line(error: Exception) -> InputError:
+    reason = str(error).rstrip(".")
+    return InputError(
+        f"wandb: {reason}; with WANDB_MODE=offline no login is needed, `wandb sync` uploads later"
+    )
