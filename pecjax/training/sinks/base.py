@@ -1,4 +1,4 @@
-"""Sinks: who listens to the loop."""
+"""Sinks: listeners to the training loop."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pecjax.storage.files import Row
 
 
 class Sink:
-    """A listener: extend it and overwrite what is of interest.
+    """A listener to the training loop: extend it and override the methods you need.
 
-    Where several processes share a training, each has sinks; only the first should write.
+    Where several processes share a training, each has sinks, and only the first should write.
     """
 
     def check(self) -> None:

@@ -17,7 +17,7 @@ SECONDS_BETWEEN_LINES = 10.0  # where there is no terminal to draw a bar on
 
 
 class Progress(Sink):
-    """A live bar over iterations on a terminal, else a line every few seconds, both on stderr."""
+    """A progress bar on a terminal, otherwise a line every few seconds; both on stderr."""
 
     def __init__(self, iterations: int, episodes: str = "") -> None:
         """Prepares a bar of so many iterations; it shows with the first row.
@@ -55,7 +55,7 @@ class Progress(Sink):
         self._console.print(line, markup=False)
 
     def skip(self, iterations: int) -> None:
-        """Counts so many iterations as done, without a word about how long they took."""
+        """Counts some iterations as done, without using them for the pace."""
         self._done += iterations
         if self._since:
             since, before = self._since
