@@ -96,7 +96,8 @@ def test_every_file_of_the_run_directory_is_there_with_its_columns(run, tables):
     there = {path.name for path in folder.iterdir()}
     folders = {"configurations", "episodes", "checkpoints", "states", "figures"}
     tables_and_summary = {"metrics.csv", "evaluation.csv", "summary.json"}
-    assert there == {"config.json", "scene.xml", "coordinates.csv"} | tables_and_summary | folders
+    given = {".lock", "config.json", "scene.xml", "coordinates.csv"}
+    assert there == given | tables_and_summary | folders
     head = ["iteration", "env_steps", "seconds", "goal_ratio", "episodes", "mean_return", "mean_length"]
     of_task = ["collision", "path_length", "timeout", "unstable"]
     learners = ["entropy", "kl", "kl_coeff", "policy_loss", "value_loss"]

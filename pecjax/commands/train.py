@@ -17,6 +17,7 @@ from pecjax.training.kinds import kind_name
 from pecjax.training.presets import find_preset
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.settings import override
+from pecjax.training.sinks import Sink, TensorBoard, WandB
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,8 @@ class Train:
         devices: how many share them. (default: all that divide them evenly)
         out: the run's folder. (default: a new one under runs/)
         sampled_evaluation: evaluates with drawn actions instead of the most likely ones.
+        tensorboard: writes for TensorBoard too, in tensorboard/ in the run's folder: docs/tracking.md.
+        wandb: logs to this project of Weights & Biases too: docs/tracking.md.
         resume: resumes the run in --out where it was stopped, or with more --iterations.
         coordinator: where several processes share the training, given to all of them alike: HOST:PORT of
             the first, or auto under SLURM or Open MPI. (default: this process is alone)
@@ -66,6 +69,8 @@ class Train:
     devices: Option[int] = None
     out: Option[Path] = None
     sampled_evaluation: bool = False
+    tensorboard: bool = False
+    wandb: Option[str] = None
     resume: bool = False
     coordinator: Option[str] = None
     num_processes: Option[int] = None
@@ -102,7 +107,7 @@ class Train:
         name = kind_name(settings.sampler).rpartition(":")[2].lower()
         folder = self.out or Path("runs") / time.strftime(f"{name}-%Y%m%d-%H%M%S")
         go = training.resume if self.resume else training.train
-        summary = go(settings, folder, self.devices)
+        summary = go(settings, folder, self.devices, self._trackers())
         if not processes.is_primary():
             return
         draw(folder)
@@ -113,6 +118,10 @@ class Train:
             f"{summary['env_steps']:,} steps in {summary['seconds']:.0f} s "
             f"(and {summary['compile_seconds']:.0f} s of compilation)"
         )
+
+    def _trackers(self) -> list[Sink]:
+        trackers: list[Sink] = [TensorBoard()] if self.tensorboard else []
+        return trackers if self.wandb is None else [*trackers, WandB(self.wandb)]
 
     def _join(self) -> None:
         if self.coordinator is None:

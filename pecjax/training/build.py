@@ -14,6 +14,7 @@ from pecjax.agents.sharding import placement
 from pecjax.curriculum import Sampler
 from pecjax.envs.task import EvalSet, Task, World, num_configs
 from pecjax.runtime.devices import check_memory
+from pecjax.training.contracts import check_contracts
 from pecjax.training.settings import RunSettings, check_settings
 
 Tree = TypeVar("Tree")
@@ -54,6 +55,7 @@ def build(settings: RunSettings, num_devices: int, *, trains: bool = True) -> Ru
     check_settings(settings)
     task, world = settings.task.make()
     sampler = settings.sampler.make(num_configs(world.table))
+    check_contracts(settings, task, world, sampler)
     mesh = device_mesh(num_devices)
     agent = settings.agent.make(task, sampler, AXIS)
     if trains:

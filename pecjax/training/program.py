@@ -16,6 +16,7 @@ from pecjax.agents import AXIS, Metrics, TrainState, device_mesh
 from pecjax.envs.task import EvalSet, Task, World, num_configs
 from pecjax.runtime.devices import check_memory, choose_num_devices
 from pecjax.training.build import Run, abstract_state, everywhere, for_evaluation, observation_bytes
+from pecjax.training.contracts import check_contracts
 from pecjax.training.evaluation import EvalResult, make_episode_runner, make_evaluator, stratified_config_ids
 from pecjax.training.settings import RunSettings
 
@@ -142,6 +143,7 @@ def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> 
     devices = choose_num_devices(None, runs)
     mesh = device_mesh(devices)
     sampler = settings.sampler.make(num_configs(world.table))
+    check_contracts(settings, task, world, sampler)
     agent = settings.agent.make(task, sampler)
     check_memory(agent.replay_bytes * runs, devices)
     world, about = everywhere(world, mesh), settings.evaluation

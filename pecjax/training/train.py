@@ -49,6 +49,7 @@ def train(
     with ending_together(_how_to_resume(folder)):
         with synchronized(settings):
             check_settings(settings)
+            _check(sinks)
             num_devices = choose_num_devices(devices, settings.agent.device_divisor)
             check_free(folder)
             build(settings, num_devices)
@@ -77,6 +78,7 @@ def resume(
     with ending_together(_how_to_resume(folder)):
         with synchronized(settings):
             check_settings(settings)
+            _check(sinks)
             directory.check_version()
             differing = directory.differences(settings)
             if differing:
@@ -87,6 +89,11 @@ def resume(
                 devices = before
             num_devices = choose_num_devices(devices, settings.agent.device_divisor)
         return _go(settings, directory, num_devices, sinks, is_resumed=True)
+
+
+def _check(sinks: Sequence[Sink]) -> None:
+    for sink in sinks:
+        sink.check()
 
 
 def _how_to_resume(folder: Path) -> str:

@@ -1,10 +1,9 @@
-"""Sinks: listeners to the training loop, and its progress bar."""
+"""The sink that a person sees: a progress bar, or a line every few seconds."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -12,63 +11,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress as Bar, TextCo
 
 from pecjax.runtime.distributed import is_primary
 from pecjax.storage.files import Row
+from pecjax.training.sinks.base import Sink
 
 SECONDS_BETWEEN_LINES = 10.0  # where there is no terminal to draw a bar on
-
-
-class Sink:
-    """A listener to the training loop: extend it and override the methods you need.
-
-    Where several processes share a training, each has sinks, and only the first should write.
-    """
-
-    def open(self, runs: Sequence[str], iteration: int) -> None:
-        """The runs start, or resume after so many iterations."""
-
-    def rows(self, table: str, rows: Sequence[Row]) -> None:
-        """One row of each run: of the table `metrics` after every iteration, of `evaluation` when due."""
-
-    def arrays(self, name: str, iteration: int, arrays: Sequence[dict[str, Any]]) -> None:
-        """Arrays of each run: `configurations` (see `rows.configuration_arrays`) or `episodes`, when due."""
-
-    def close(self) -> None:
-        """The loop has ended, or was stopped."""
-
-
-class Sinks(Sink):
-    """Several sinks as one, open while it is entered."""
-
-    def __init__(self, sinks: Sequence[Sink], runs: Sequence[str], iteration: int) -> None:
-        """See `Sink.open`."""
-        self._sinks = sinks
-        self._started = runs, iteration
-
-    def __enter__(self) -> Sinks:
-        self.open(*self._started)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def open(self, runs: Sequence[str], iteration: int) -> None:
-        """Opens all."""
-        for sink in self._sinks:
-            sink.open(runs, iteration)
-
-    def rows(self, table: str, rows: Sequence[Row]) -> None:
-        """Tells all."""
-        for sink in self._sinks:
-            sink.rows(table, rows)
-
-    def arrays(self, name: str, iteration: int, arrays: Sequence[dict[str, Any]]) -> None:
-        """Tells all."""
-        for sink in self._sinks:
-            sink.arrays(name, iteration, arrays)
-
-    def close(self) -> None:
-        """Closes all."""
-        for sink in self._sinks:
-            sink.close()
 
 
 class Progress(Sink):
