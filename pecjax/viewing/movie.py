@@ -42,10 +42,14 @@ def write_movie(path: Path, frames: Iterator[np.ndarray], period: float) -> None
 def _write_gif(path: Path, frames: Iterator[np.ndarray], period: float) -> None:
     from PIL import Image
 
-    first, *rest = [Image.fromarray(frame).quantize(_COLORS) for frame in frames]
+    images = [Image.fromarray(frame) for frame in frames]
+    some = np.concatenate([np.asarray(images[place]) for place in (0, len(images) // 2, -1)])
+    colors = Image.fromarray(some).quantize(_COLORS)
+    # With one palette and no dithering, a frame holds only what has changed.
+    first, *rest = [image.quantize(palette=colors, dither=Image.Dither.NONE) for image in images]
     # GIF counts hundredths of a second.
     shown = [round(100 * period) * 10] * len(rest) + [round(1000 * PAUSE)]
-    first.save(path, save_all=True, append_images=rest, duration=shown, loop=0, optimize=True)
+    first.save(path, save_all=True, append_images=rest, duration=shown, loop=0)
 
 
 def _write_mp4(path: Path, frames: Iterator[np.ndarray], period: float) -> None:
@@ -67,6 +71,7 @@ def _write_mp4(path: Path, frames: Iterator[np.ndarray], period: float) -> None:
 
 
 def followed(recording: Recording) -> Flight:
-    """The flight that a movie follows: the longest of those that reach their goal, else of all."""
+    """The flight that a movie follows: of those that reach their goal, else of all, one of middle length."""
     reached = [flight for flight in recording.flights if flight.ending == "goal"]
-    return max(reached or recording.flights, key=lambda flight: len(flight.commands))
+    by_length = sorted(reached or recording.flights, key=lambda flight: len(flight.commands))
+    return by_length[len(by_length) // 2]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
@@ -57,7 +58,7 @@ def mujoco_frames(recording: Recording, follow: Flight) -> Iterator[np.ndarray]:
 
 
 def _azimuth(pose: np.ndarray) -> float:
-    return float(np.degrees(heading(pose[3:])))
+    return float(np.degrees(heading(jnp.asarray(pose[3:]))))
 
 
 def _scene(recording: Recording, follow: Flight, flights: list[Flight]) -> mujoco.MjModel:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import jax
+import jax.numpy as jnp
 import matplotlib
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -34,7 +36,9 @@ def _frames(recording: Recording, follow: Flight) -> Iterator[np.ndarray]:
     above, seen = figure.subplots(1, 2, width_ratios=[5.4, 3.6])
     rules, vehicle = recording.task.settings, recording.task.vehicle
     floor_plan(above, recording.maps[follow.map_id], vehicle.radius, rules)
-    above.add_patch(Circle(follow.goal, rules.goal_radius, fill=False, color=COLORS[follow.ending]))
+    above.add_patch(
+        Circle(tuple(follow.goal.tolist()), rules.goal_radius, fill=False, color=COLORS[follow.ending])
+    )
     trails = [
         above.plot([], [], color=COLORS[flight.ending], linewidth=2 if flight is follow else 0.8)[0]
         for flight in flights
@@ -48,7 +52,7 @@ def _frames(recording: Recording, follow: Flight) -> Iterator[np.ndarray]:
         for trail, poses in zip(trails, now, strict=True):
             trail.set_data(*poses[:, :2].T)
         last = np.stack([poses[-1] for poses in now])
-        turned = np.asarray([heading(pose[3:]) for pose in last])
+        turned = np.asarray(jax.vmap(heading)(jnp.asarray(last[:, 3:])))
         drones.set_offsets(last[:, :2])
         drones.set_UVC(np.cos(turned), np.sin(turned))
         image.set_data(follow.depth[step])
