@@ -73,6 +73,7 @@ class Watch(Flown):
         if not movies:
             out = self.out or self._default_page()
             with files.writing(out, "give another place with --out"):
+                out.parent.mkdir(parents=True, exist_ok=True)
                 files.replace_file(out, page(recording, history))
             print(f"{out}: {len(recording.flights)} flights; open it in a browser")
             if self.open and _has_screen():

@@ -33,10 +33,12 @@ def write_movie(path: Path, frames: Iterator[np.ndarray], period: float) -> None
     new = path.with_name(f".new.{path.name}")
     try:
         with files.writing(path, "give another place"):
+            path.parent.mkdir(parents=True, exist_ok=True)
             write(new, frames, period)
             os.replace(new, path)
     finally:
-        new.unlink(missing_ok=True)
+        if new.exists():
+            new.unlink()
 
 
 def _write_gif(path: Path, frames: Iterator[np.ndarray], period: float) -> None:
