@@ -77,7 +77,8 @@ class OddTask(Task):
         return config
 
     def step(self, key, state, action, params):
-        raise NotImplementedError
+        no = jax.numpy.zeros((), bool)
+        return Transition(state, jax.numpy.float32(0), no, no, no, {})
 
     def observe(self, key, state, params):
         return jax.tree.map(lambda box: jax.numpy.zeros(box.shape), self.observation_space)
