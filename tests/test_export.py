@@ -22,7 +22,7 @@ from pecjax.cli import main
 from pecjax.envs.rooms.flight import Command, DroneState, rotor_controls
 from pecjax.envs.rooms.sensing import scale
 from pecjax.envs.spaces import Box, Discrete
-from pecjax.envs.task import Task, TaskSettings, World, take_configs
+from pecjax.envs.task import Task, TaskSettings, Transition, World, take_configs
 from pecjax.export.policy import ACTION, input_names, policy_of
 from pecjax.training.build import abstract_state, build
 from pecjax.training.checkpoint import Checkpoints

@@ -74,18 +74,7 @@ def test_an_mp4_has_a_frame_for_each_step_and_a_pause(empty_folder):
 @pytest.mark.slow
 @pytest.mark.parametrize("opengl", ["osmesa", "disabled"])
 def test_mujoco_draws_where_there_is_opengl(opengl, empty_folder):
-    command = [
-        "-m",
-        "pecjax",
-        "watch",
-        "demo-set-1",
-        "--flights",
-        "2",
-        "--gif",
-        "flights.gif",
-        "--renderer",
-        "mujoco",
-    ]
+    watch = ["watch", "demo-set-1", "--flights", "2", "--gif", "flights.gif", "--renderer", "mujoco"]
     env = {**os.environ, "MUJOCO_GL": opengl}
     done = subprocess.run([sys.executable, "-m", "pecjax", *watch], env=env, capture_output=True, text=True)
     if done.returncode == 2:
