@@ -91,4 +91,4 @@ def test_the_wheel_works_in_an_empty_folder(built, tmp_path):
     assert "20 configurations: every one can be flown" in command("check")
     small = ("--num-envs", "16", "--evaluation.episodes", "20", "--out", "run")
     assert "goal ratio" in command("train", "--iterations", "1", *small)
-    assert {path.name for path in empty.iterdir()} == {"check.png", "check.svg", "run"}
+    assert {path.name for path in empty.iterdir()} == {"check.pdf", "check.png", "run"}
