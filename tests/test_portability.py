@@ -13,6 +13,8 @@ LACKING = """
 import importlib, os, pkgutil, sys
 sys.modules["fcntl"] = None
 del os.sched_getaffinity
+if hasattr(os, "process_cpu_count"):  # from Python 3.13 on; where there is no affinity it is this
+    os.process_cpu_count = os.cpu_count
 """
 IMPORT_ALL = """
 import pecjax
