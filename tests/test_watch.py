@@ -111,7 +111,7 @@ def test_the_page_is_small_and_whole(rooms, recording):
 def browser():
     playwright = pytest.importorskip("playwright.sync_api")
     if BROWSER is None:
-        pytest.skip("no Chromium here")
+        pytest.skip("no Chromium here, which no package of Python brings along; .ci/run installs it")
     software = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     with playwright.sync_playwright() as driver:
         opened = driver.chromium.launch(executable_path=BROWSER, args=software)

@@ -43,6 +43,13 @@ def test_demos_hold_what_is_watched_and_small_weights(demo):
         assert not any(array.any() for array in rest)  # nothing, in a compressed wheel
 
 
+def test_a_demo_is_exported_to_where_one_is(empty_folder, capsys):
+    pytest.importorskip("onnx")
+    assert main(["export", "demo-set-2"]) == 0
+    assert capsys.readouterr().out == "policy.onnx\npolicy.json\n"
+    assert sorted(path.name for path in empty_folder.iterdir()) == ["policy.json", "policy.onnx"]
+
+
 def test_a_folder_called_demo_comes_first(empty_folder, capsys):
     (empty_folder / "demo").mkdir()
     assert main(["watch", "demo", "--no-open"]) == 2

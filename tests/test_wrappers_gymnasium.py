@@ -2,7 +2,6 @@
 
 import functools
 import importlib
-import os
 import pickle
 import sys
 from multiprocessing import get_context
@@ -228,7 +227,6 @@ def draws(chooser, answers):
         answers.send(str(error))
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no forked processes here")
 def test_a_chooser_works_in_one_process():
     """Copies in others would count for themselves."""
     chooser = Chooser(pec(N), TABLE)

@@ -18,9 +18,10 @@ class Export:
     The JSON has the same name, but ends in .json. docs/export.md explains both, and flies one without JAX.
 
     Attributes:
-        folder: the run's folder.
+        folder: the run's folder, or demo, demo-set-1 or demo-set-2 for a policy that comes with pecjax.
         format: onnx, or jax (StableHLO that `jax.export.deserialize` reads).
-        out: the file; what is there is replaced. (default: policy.onnx or policy_jax.bin in the run's folder)
+        out: the file; what is there is replaced. (default: policy.onnx or policy_jax.bin in the run's
+            folder; of a demo, in the folder you are in)
         checkpoint: the iteration it was saved at. (default: the newest)
     """
 

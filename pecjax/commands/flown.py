@@ -12,7 +12,6 @@ from pecjax.commands.options import Option, Strings
 from pecjax.envs.rooms.settings import Rooms
 from pecjax.envs.rooms.spaces.elsewhere import evaluated_rooms
 from pecjax.errors import InputError
-from pecjax.training.demos import find_run
 from pecjax.training.evaluation import EvalResult
 from pecjax.training.load import Trained, open_run
 from pecjax.training.program import compile_evaluator
@@ -50,7 +49,7 @@ class Flown:
         Raises:
             InputError: no such run or checkpoint, or something that does not go together.
         """
-        trained = self._there(open_run(find_run(self.folder), self.checkpoint))
+        trained = self._there(open_run(self.folder, self.checkpoint))
         about = EvaluationSettings(episodes=episodes, seed=seed, greedy=not self.sampled)
         settings = dataclasses.replace(trained.settings, evaluation=about)
         check_settings(settings)

@@ -16,6 +16,7 @@ import numpy as np
 from pecjax.commands.flown import Flown
 from pecjax.commands.options import Option
 from pecjax.errors import InputError
+from pecjax.runtime.extras import require
 from pecjax.storage import files
 from pecjax.training.demos import find_run, is_demo
 from pecjax.training.kinds import run_label
@@ -40,7 +41,7 @@ class Watch(Flown):
         open: opens the page in the browser.
         flights: the most that are shown.
         episodes: flies so many new ones, spread evenly over the configurations. (default: none)
-        seed: of the headings and drawn actions of new flights.
+        seed: flies new ones, whose headings and drawn actions are of this seed. (default: 1 for new ones)
         gif: writes a GIF of this name in place of the page.
         mp4: writes an MP4 of this name in place of the page; it needs the extra pecjax[video].
         renderer: of GIF and MP4: top (from above, with the depth image) or mujoco (in three dimensions;
@@ -51,7 +52,7 @@ class Watch(Flown):
     open: bool = True
     flights: int = 50
     episodes: Option[int] = None
-    seed: int = 1
+    seed: Option[int] = None
     gif: Option[Path] = None
     mp4: Option[Path] = None
     renderer: Literal["top", "mujoco"] = "top"
@@ -66,6 +67,8 @@ class Watch(Flown):
         for path, suffix in ((self.gif, ".gif"), (self.mp4, ".mp4"), (self.out, ".html")):
             if path is not None and path.suffix != suffix:
                 raise InputError(f"{path}: give a name that ends in {suffix}")
+        if self.mp4 is not None:
+            require("av", extra="video")
         recording, history = self._recorded() if self._as_recorded() else (self._flown(), None)
         for path in movies:
             write_movie(path, self._frames(recording), recording.task.settings.control_period)
@@ -81,14 +84,16 @@ class Watch(Flown):
 
     def _as_recorded(self) -> bool:
         """Whether nothing was said of what to fly in."""
-        asked = (self.episodes, self.checkpoint, self.space, self.split, self.coordinates, self.scene)
-        return not self.sampled and all(option is None for option in asked)
+        how = (self.episodes, self.seed, self.checkpoint)
+        where = (self.space, self.split, self.coordinates, self.scene)
+        return not self.sampled and all(option is None for option in how + where)
 
     def _recorded(self) -> tuple[Recording, History]:
         return read_recording(find_run(self.folder), self.flights)
 
     def _flown(self) -> Recording:
-        trained, result = self.fly(self.flights if self.episodes is None else self.episodes, self.seed)
+        episodes = self.flights if self.episodes is None else self.episodes
+        trained, result = self.fly(episodes, 1 if self.seed is None else self.seed)
         arrays = episode_arrays(result) | recording_arrays(result, np.arange(len(result.success)))
         title = f"{run_label(trained.settings)}, after iteration {trained.iteration}"
         return make_recording(title, trained.run.task, trained.run.eval_world, arrays, self.flights)

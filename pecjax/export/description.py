@@ -6,12 +6,13 @@ import dataclasses
 import importlib.metadata
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from pecjax.agents.distributions import MIN_SCALE
 from pecjax.envs.rooms.config import OBJECTIVES
 from pecjax.envs.rooms.sensing import DISTANCE_SCALE
-from pecjax.envs.rooms.task import SPEEDS, YAW_RATES, RoomsTask
+from pecjax.envs.rooms.task import RoomsTask
 from pecjax.envs.rooms.vehicle import Camera, Vehicle
 from pecjax.envs.spaces import Box, Discrete
 from pecjax.export.policy import ACTION, Policy
@@ -80,10 +81,12 @@ def _outputs(policy: Policy) -> list[dict[str, Any]]:
 def _rooms(task: RoomsTask) -> dict[str, Any]:
     """The drone and its task, in SI units."""
     rules, vehicle = task.settings, task.vehicle
+    commands = task.command(jnp.arange(task.action_space.num_actions))
     return {
         "scaling": {"depth_divisor_m": vehicle.camera.far, "distance_divisor_m": DISTANCE_SCALE},
         "actions": [
-            {"speed_m_s": speed, "yaw_rate_rad_s": float(rate)} for speed in SPEEDS for rate in YAW_RATES
+            {"speed_m_s": speed, "yaw_rate_rad_s": rate}
+            for speed, rate in zip(commands.speed.tolist(), commands.yaw_rate.tolist(), strict=True)
         ],
         "control": {
             "period_s": rules.control_period,

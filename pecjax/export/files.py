@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -13,8 +12,10 @@ from pecjax.export.description import describe
 from pecjax.export.jax_program import jax_program
 from pecjax.export.onnx_graph import onnx_model
 from pecjax.export.policy import Policy, policy_of
+from pecjax.runtime.extras import require
 from pecjax.settings_tree import nearest
 from pecjax.storage.files import json_text, replace_file, writing
+from pecjax.training.demos import find_run, is_demo
 from pecjax.training.load import open_run
 from pecjax.training.run_directory import RunDirectory
 
@@ -45,10 +46,10 @@ def export_policy(
     """Writes the policy of a run for other programs, and its description as JSON beside it.
 
     Args:
-        folder: the run's.
+        folder: the run's, or the name of a demo.
         format: `onnx`, or `jax` for StableHLO that `jax.export.deserialize` reads.
-        out: the file, which is replaced; `policy.onnx` or `policy_jax.bin` in the run's folder when None.
-            The description has the same name, but ends in .json.
+        out: the file, which is replaced; when None, `policy.onnx` or `policy_jax.bin` in the run's folder, or
+            of a demo in the current one. The description has the same name, but ends in .json.
         checkpoint: the iteration it was saved at, the newest when None.
 
     Returns:
@@ -61,21 +62,17 @@ def export_policy(
     if format not in FORMATS:
         raise InputError(f"unknown format '{format}'{nearest(format, [*FORMATS])}; give onnx or jax")
     name, library, serialized = FORMATS[format]
-    out = Path(folder) / name if out is None else Path(out)
+    folder = Path(folder)
+    out = Path(out or (name if is_demo(folder) else folder / name))
     if out.is_dir() or out.suffix == ".json":
         raise InputError(f"{out}: is a folder or ends in .json; give a file such as {name} with --out")
     described = out.with_suffix(".json")
-    try:
-        importlib.import_module(library)
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"the format {format} needs the library {library}; pip install 'pecjax[export]'"
-        ) from error
+    require(library, extra="export")
     trained = open_run(folder, checkpoint)
     policy = policy_of(trained)
     content = serialized(policy)
     about = {"format": format, "file": out.name, "sha256": hashlib.sha256(content).hexdigest()}
-    about |= describe(RunDirectory(Path(folder)), trained, policy)
+    about |= describe(RunDirectory(find_run(folder)), trained, policy)
     with writing(out, "give another file with --out"):
         out.parent.mkdir(parents=True, exist_ok=True)
         replace_file(out, content)

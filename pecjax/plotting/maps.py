@@ -96,24 +96,14 @@ def floor_plan(axes: Axes, one: Map, radius: float, rules: NavigationSettings = 
     Args:
         radius: m, of the drone.
     """
-    limits = one.bounds
-    for lower, upper in zip(one.lower, one.upper, strict=True):
-        (x, y), (right, top) = np.clip([lower[:2], upper[:2]], *limits)
-        style = _wall_style(limits, radius, rules.flight_height, lower, upper)
+    for lower, upper, covers in zip(one.lower, one.upper, one.covers, strict=True):
+        (x, y), (right, top) = np.clip([lower[:2], upper[:2]], *one.bounds)
+        passed = COVER if covers else PASSED
+        style = SOLID if lower[2] - radius <= rules.flight_height <= upper[2] + radius else passed
         axes.add_patch(Rectangle((x, y), right - x, top - y, **style))
-    (left, bottom), (right, top) = limits
+    (left, bottom), (right, top) = one.bounds
     axes.set(xlim=(left, right), ylim=(bottom, top), xlabel="x (m)", ylabel="y (m)", aspect="equal")
     axes.locator_params(steps=[1, 2, 5, 10])
-
-
-def _wall_style(
-    limits: np.ndarray, radius: float, height: float, lower: np.ndarray, upper: np.ndarray
-) -> dict[str, Any]:
-    if lower[2] - radius <= height <= upper[2] + radius:
-        return SOLID
-    (low, high), inside = limits, np.clip([lower[:2], upper[:2]], *limits)
-    covered = np.prod(inside[1] - inside[0]) / np.prod(high - low)
-    return COVER if covered > 0.5 else PASSED
 
 
 def ways_of(table: Configurations, map_id: int = 0) -> dict[int, tuple[Place, Place]]:

@@ -11,6 +11,7 @@ from pecjax.envs.task import EvalSet, World
 from pecjax.runtime.devices import choose_num_devices
 from pecjax.training.build import Run, abstract_state, build, everywhere
 from pecjax.training.checkpoint import Checkpoints
+from pecjax.training.demos import find_run
 from pecjax.training.evaluation import EvalResult
 from pecjax.training.program import compile_evaluator
 from pecjax.training.run_directory import RunDirectory
@@ -63,10 +64,12 @@ class Trained(NamedTuple):
 def open_run(folder: str | Path, checkpoint: int | None = None) -> Trained:
     """Reads a run's settings, its task's files and one of its checkpoints, the newest when None.
 
+    The folder may be the name of a demo, where there is no such folder.
+
     Raises:
         InputError: the folder holds no run, or no such checkpoint.
     """
-    folder = Path(folder)
+    folder = find_run(Path(folder))
     directory = RunDirectory(folder)
     settings = dataclasses.replace(directory.settings(), task=directory.task())
     num_devices = choose_num_devices(None, settings.agent.device_divisor)

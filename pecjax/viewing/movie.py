@@ -7,10 +7,11 @@ import os
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pecjax.errors import InputError
+from pecjax.runtime.extras import require
 from pecjax.storage import files
 from pecjax.viewing.recording import Flight, Recording
 
@@ -55,10 +56,7 @@ def _write_gif(path: Path, frames: Iterator[np.ndarray], period: float) -> None:
 
 
 def _write_mp4(path: Path, frames: Iterator[np.ndarray], period: float) -> None:
-    try:
-        import av
-    except ModuleNotFoundError as error:
-        raise InputError("MP4 needs PyAV: install pecjax[video], or give --gif") from error
+    av: Any = require("av", extra="video")
     first = next(frames)
     with av.open(path, "w", format="mp4") as file:
         stream = file.add_stream("libx264", rate=Fraction(1 / period).limit_denominator(1000))

@@ -85,11 +85,10 @@ def _scene(recording: Recording, follow: Flight, flights: list[Flight]) -> mujoc
     world.add_light(pos=[*center, 12], dir=[0.3, 0.4, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     world.add_geom(type=plane, pos=[*center, 0], size=[*half, 0.1], material="floor")
-    for lower, upper, cover in zip(*drawn_walls(about), strict=True):
-        if not cover:
-            middle, size = (lower + upper) / 2, np.maximum(upper - lower, 1e-3) / 2
-            box = mujoco.mjtGeom.mjGEOM_BOX
-            world.add_geom(type=box, pos=middle, size=size, rgba=[0.73, 0.77, 0.8, 1])
+    box = mujoco.mjtGeom.mjGEOM_BOX
+    for lower, upper in zip(*drawn_walls(about), strict=True):
+        middle, size = (lower + upper) / 2, np.maximum(upper - lower, 1e-3) / 2
+        world.add_geom(type=box, pos=middle, size=size, rgba=[0.73, 0.77, 0.8, 1])
     radius, color = recording.task.settings.goal_radius, [*_RGBA["goal"][:3], 0.4]
     disc = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "size": [radius, 0.01, 0], "rgba": color}
     world.add_geom(pos=[*follow.goal, 0.01], **disc)

@@ -32,9 +32,7 @@ def page(recording: Recording, history: History | None = None) -> str:
         history: how the configurations were drawn in training, where that is to be shown.
     """
     files = resources.files("pecjax.viewing")
-    text = {
-        name: (files / name).read_text("utf-8") for name in (*_SCRIPTS, "page/page.html", "page/style.css")
-    }
+    text = {name: (files / name).read_text("utf-8") for name in (_PAGE, _STYLE, *_SCRIPTS)}
     parts = {
         "title": html.escape(recording.title),
         "style": text[_STYLE],
@@ -48,7 +46,6 @@ def _content(recording: Recording, history: History | None) -> tuple[dict[str, A
     """What the page is told, and its arrays by name."""
     task, flights = recording.task, recording.flights
     images, about = _images(flights, task.vehicle.camera.far)
-    lengths = np.array([len(flight.commands) for flight in flights])
     header: dict[str, Any] = {
         "period": task.settings.control_period,
         "droneRadius": task.vehicle.radius,
@@ -58,13 +55,13 @@ def _content(recording: Recording, history: History | None) -> tuple[dict[str, A
         "flights": [],
     }
     first, first_image = 0, 0
-    for flight, length in zip(flights, lengths.tolist(), strict=True):
+    for flight in flights:
+        length = len(flight.commands)
         about_flight = {
             "config": flight.config_id,
             "map": flight.map_id,
             "ending": flight.ending,
             "goal": flight.goal.tolist(),
-            "goalRadius": task.settings.goal_radius,
             "length": length,
             "first": first,
             "firstImage": first_image,
@@ -97,7 +94,7 @@ def _map(about: Map) -> dict[str, Any]:
     walls = zip(*(part.tolist() for part in drawn_walls(about)), strict=True)
     return {
         "bounds": about.bounds.tolist(),
-        "walls": [{"lower": lower, "upper": upper, "cover": cover} for lower, upper, cover in walls],
+        "walls": [{"lower": lower, "upper": upper} for lower, upper in walls],
     }
 
 

@@ -24,7 +24,6 @@ from pecjax.viewing.history import History, read_history
 Camera = Callable[[Configurations, np.ndarray], np.ndarray]
 
 MARGIN = 0.5  # m, by which walls without an end stand out
-COVER = 0.5  # share of the map above which a box is a floor or a ceiling
 BATCH = 256  # images that are computed at once
 
 
@@ -35,7 +34,7 @@ class Flight(NamedTuple):
         config_id: its configuration's row.
         map_id: the map that it is in.
         ending: one of `ENDINGS`.
-        start, goal: (2,) m.
+        goal: (2,) m.
         waypoint: (2,) m, None where there is none to pass.
         poses: (L + 1, 7) position m and attitude quaternion w-x-y-z.
         commands: (L, 2) speed m/s and yaw rate rad/s that were asked for.
@@ -45,7 +44,6 @@ class Flight(NamedTuple):
     config_id: int
     map_id: int
     ending: str
-    start: np.ndarray
     goal: np.ndarray
     waypoint: np.ndarray | None
     poses: np.ndarray
@@ -105,8 +103,8 @@ def make_recording(
         raise InputError("only flights through rooms can be watched; the run is of another task")
     recorded = np.asarray(arrays["recorded"])
     chosen = np.linspace(0, len(recorded) - 1, min(most, len(recorded))).astype(int)
-    camera = _camera(task, world)
-    flights = tuple(_flight(task, world, camera, arrays, int(place)) for place in chosen)
+    ending, camera = endings(arrays), _camera(task, world)
+    flights = tuple(_flight(task, world, camera, ending, arrays, int(place)) for place in chosen)
     if not flights:
         raise ValueError("no flights")
     numbers = sorted({flight.map_id for flight in flights})
@@ -115,7 +113,12 @@ def make_recording(
 
 
 def _flight(
-    task: RoomsTask, world: World, camera: Camera, arrays: Mapping[str, np.ndarray], place: int
+    task: RoomsTask,
+    world: World,
+    camera: Camera,
+    ending: np.ndarray,
+    arrays: Mapping[str, np.ndarray],
+    place: int,
 ) -> Flight:
     episode = int(arrays["recorded"][place])
     length = int(arrays["length"][episode])
@@ -130,8 +133,7 @@ def _flight(
     return Flight(
         config_id,
         int(config.map_id),
-        str(endings(arrays)[episode]),
-        config.start,
+        str(ending[episode]),
         config.goal,
         config.waypoint if passes else None,
         poses,
@@ -167,17 +169,15 @@ def _map(bank: MapBank, number: int) -> Map:
     return Map(lower[real], upper[real], bounds, names)
 
 
-def drawn_walls(about: Map) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The walls of a map to be drawn in three dimensions.
+def drawn_walls(about: Map) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (D, 3) m of the walls to be drawn in three dimensions.
 
-    Returns:
-        their corners (W, 3) m, what has no end cut off near the others, and (W,) bool, whether a wall is a
-        floor or a ceiling, which would hide all the rest.
+    Floors and ceilings, which would hide all the rest, are left out; what has no end is cut off near the
+    others.
     """
     low, high = about.bounds
     heights = np.stack([about.lower, about.upper])[..., 2]
     heights = heights[np.abs(heights) < ENDLESS]
     least, most = [*(low - MARGIN), heights.min() - MARGIN], [*(high + MARGIN), heights.max() + MARGIN]
-    lower, upper = np.clip(about.lower, least, most), np.clip(about.upper, least, most)
-    covers = np.prod(upper[:, :2] - lower[:, :2], axis=1) > COVER * np.prod(high - low)
-    return lower, upper, covers
+    shown = ~about.covers
+    return np.clip(about.lower[shown], least, most), np.clip(about.upper[shown], least, most)

@@ -14,13 +14,13 @@ from matplotlib.patches import Circle
 from matplotlib.quiver import Quiver
 
 from pecjax.envs.rooms.rotations import heading
+from pecjax.plotting.flights import LOOKS
 from pecjax.plotting.maps import floor_plan
-from pecjax.plotting.style import FAILURES, PATH, STYLE, TIMEOUT
+from pecjax.plotting.style import STYLE
 from pecjax.viewing.recording import Flight, Recording
 
 DPI = 100
 WIDTH, HEIGHT = 9.0, 5.6  # inches
-COLORS = {"goal": PATH, "collision": FAILURES, "timeout": TIMEOUT, "other": "0.5"}
 
 
 def top_frames(recording: Recording, follow: Flight) -> Iterator[np.ndarray]:
@@ -37,10 +37,10 @@ def _frames(recording: Recording, follow: Flight) -> Iterator[np.ndarray]:
     rules, vehicle = recording.task.settings, recording.task.vehicle
     floor_plan(above, recording.maps[follow.map_id], vehicle.radius, rules)
     above.add_patch(
-        Circle(tuple(follow.goal.tolist()), rules.goal_radius, fill=False, color=COLORS[follow.ending])
+        Circle(tuple(follow.goal.tolist()), rules.goal_radius, fill=False, color=LOOKS[follow.ending].color)
     )
     trails = [
-        above.plot([], [], color=COLORS[flight.ending], linewidth=2 if flight is follow else 0.8)[0]
+        above.plot([], [], color=LOOKS[flight.ending].color, linewidth=2 if flight is follow else 0.8)[0]
         for flight in flights
     ]
     drones = _arrows(above, flights)
@@ -64,7 +64,7 @@ def _frames(recording: Recording, follow: Flight) -> Iterator[np.ndarray]:
 def _arrows(axes: matplotlib.axes.Axes, flights: list[Flight]) -> Quiver:
     """An arrow for each drone, in the colour of its ending."""
     starts = np.stack([flight.poses[0, :2] for flight in flights])
-    colors = [COLORS[flight.ending] for flight in flights]
+    colors = [LOOKS[flight.ending].color for flight in flights]
     ahead = np.ones(len(flights)), np.zeros(len(flights))
     return axes.quiver(
         *starts.T, *ahead, color=colors, angles="xy", scale=1.6, scale_units="xy", pivot="mid", width=0.012,

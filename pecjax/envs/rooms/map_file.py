@@ -14,6 +14,7 @@ from pecjax.errors import InputError
 
 MAX_WALLS = 1000  # each is a part of every step's program
 MAX_EXTENT = 1000  # m, from the origin
+MOST_COVERED = 0.5  # share of the map, from above, beyond which a box is a floor or a ceiling
 ENDLESS = 1e6  # m, where the half-space behind a plane ends
 
 
@@ -32,6 +33,12 @@ class Map:
     upper: np.ndarray
     bounds: np.ndarray
     names: tuple[str, ...]
+
+    @property
+    def covers(self) -> np.ndarray:
+        """(W,) bool, what lies over or under most of the map: floors and ceilings."""
+        inside = [np.clip(corner[:, :2], *self.bounds) for corner in (self.lower, self.upper)]
+        return np.prod(inside[1] - inside[0], axis=1) > MOST_COVERED * np.prod(np.ptp(self.bounds, axis=0))
 
 
 def read_map(map_file: MapFile, drone: int) -> Map:

@@ -69,7 +69,7 @@ def read_vehicle(map_file: MapFile, drone: int, like: Vehicle | None = None) -> 
     try:
         # Its own choice is the first device of all, which may be another process's.
         physics = mjx.put_model(drone_alone(model, drone), device=jax.local_devices()[0])
-    except NotImplementedError as error:  # what MJX raises where a map has a feature that only MuJoCo has
+    except NotImplementedError as error:  # MJX's own word for a feature that only MuJoCo has
         raise InputError(f"{map_file.path}: MJX cannot simulate it: {error}") from error
     return Vehicle(physics, **parts)
 

@@ -14,7 +14,7 @@ async function readData(text) {
   }
   for (const flight of header.flights) {
     flight.positions = header.poses.subarray(7 * flight.first, 7 * (flight.first + flight.length + 1));
-    flight.distance = distancesToGoal(flight);
+    flight.distance = distancesToGoal(flight, header.goalRadius);
     flight.speed = speeds(flight, header.period);
     [flight.roll, flight.pitch] = tilts(flight);
   }
@@ -22,13 +22,13 @@ async function readData(text) {
 }
 
 // Level distance to the goal, or to the waypoint as long as it has not been passed, in m.
-function distancesToGoal(flight) {
+function distancesToGoal(flight, goalRadius) {
   const distances = new Float32Array(flight.length + 1);
   let target = flight.waypoint ?? flight.goal;
   for (let step = 0; step <= flight.length; step++) {
     const [x, y] = flight.positions.subarray(7 * step, 7 * step + 2);
     distances[step] = Math.hypot(target[0] - x, target[1] - y);
-    if (distances[step] < flight.goalRadius) target = flight.goal;
+    if (distances[step] < goalRadius) target = flight.goal;
   }
   return distances;
 }

@@ -46,8 +46,7 @@ class World {
     this.map.add(floor);
     this.wallMaterial = new THREE.MeshLambertMaterial({ color: "#b9c3cc", transparent: true });
     const edges = new THREE.LineBasicMaterial({ color: "#6d7883", transparent: true, opacity: 0.6 });
-    for (const { lower, upper, cover } of walls) {
-      if (cover) continue; // a floor or a ceiling, which would hide all the rest
+    for (const { lower, upper } of walls) {
       const size = upper.map((value, axis) => value - lower[axis]);
       const box = new THREE.BoxGeometry(...size);
       const wall = new THREE.Mesh(box, this.wallMaterial);

@@ -1,13 +1,10 @@
 // The parts of three.js that the page uses; `make three` puts them into three.min.js.
 export {
-  AmbientLight,
   BoxGeometry,
   BufferAttribute,
   BufferGeometry,
-  CircleGeometry,
   Color,
   ConeGeometry,
-  CylinderGeometry,
   DirectionalLight,
   EdgesGeometry,
   Group,
