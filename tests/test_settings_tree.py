@@ -207,7 +207,9 @@ def test_modules_that_need_an_extra_are_passed_over(monkeypatch):
     for library, module in [("gymnax", "as_gymnax"), ("gymnasium", "as_gymnasium")]:
         monkeypatch.setitem(sys.modules, library, None)  # as if it were not installed
         monkeypatch.delitem(sys.modules, f"pecjax.envs.{module}", raising=False)
-    with pytest.raises(InputError, match=r"unknown task 'room' \(did you mean rooms\?\); choose one of rooms, or"):
+    with pytest.raises(
+        InputError, match=r"unknown task 'room' \(did you mean rooms\?\); choose one of rooms, or"
+    ):
         make_kind("task", "room")
 
 

@@ -10,38 +10,28 @@ import mujoco
 import numpy as np
 
 from pecjax.envs.rooms.box_cover import BoxCover, cover
-from pecjax.envs.rooms.solids import corners_of
+from pecjax.envs.rooms.maps import MAX_WALLS
+from pecjax.envs.rooms.solids import corners_of, is_along_axes, is_wall
 from pecjax.errors import InputError
 
-MAX_BOXES = 1000  # of all shapes of a map
 _SLACK = 0.2  # share of the reach that making round shapes many-sided may take
 _MOST_NAMES = 3
 
 
-def is_along_axes(axes: np.ndarray) -> bool:
-    """Whether axes, the columns (3, 3), are the map's but for right angles."""
-    return np.allclose(np.abs(axes).max(axis=0), 1.0, atol=1e-6)
-
-
 def approximate_shapes(
-    spec: mujoco.MjSpec,
-    model: mujoco.MjModel,
-    solid: Callable[[int], bool],
-    reach: float,
-    name_of: Callable[[Any], str],
-) -> str | None:
+    spec: mujoco.MjSpec, model: mujoco.MjModel, reach: float, place_of: Callable[[str, Any], str]
+) -> list[str]:
     """Puts boxes along the axes in the place of the shapes of a map that are none, in place.
 
     The boxes hold all of the shape: what MuJoCo says is solid still is.
 
     Args:
         model: `spec` compiled.
-        solid: whether the geom of that number is a wall.
         reach: m, how far a box may reach beyond its shape.
-        name_of: what messages call a geom.
+        place_of: (kind, element) -> where it stands, for messages.
 
     Returns:
-        what has become of which shapes, for people; None where there are none.
+        what has become of which shapes, for people; nothing where there are none.
 
     Raises:
         InputError: a reach that is not above 0, or a shape that takes too many boxes.
@@ -50,27 +40,32 @@ def approximate_shapes(
         raise InputError(f"approximate is {reach}; give a length in metres above 0, 0.05 say")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    names, covers = [], []
-    left = MAX_BOXES
-    for geom in [geom for geom in spec.geoms if solid(geom.id)]:
-        axes = data.geom_xmat[geom.id].reshape(3, 3)
+    drone = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "drone")
+    names: list[str] = []
+    covers: list[BoxCover] = []
+    left = MAX_WALLS
+    for geom, number in [(geom, geom.id) for geom in spec.geoms]:  # which change with the first that goes
+        if not is_wall(model, number, drone) or model.body_weldid[model.geom_bodyid[number]] != 0:
+            continue
+        axes = data.geom_xmat[number].reshape(3, 3)
         if geom.type == mujoco.mjtGeom.mjGEOM_BOX and is_along_axes(axes):
             continue
-        boxes = _boxes(model, data, geom.id, reach, left, name_of(geom))
+        name = f"'{geom.name}'" if geom.name else f"{number}"
+        boxes = _boxes(model, data, number, reach, left, f"{place_of('geom', geom)}: geom {name}")
         if boxes is None:
             continue
         left -= len(boxes.middle)
-        names.append(f"'{geom.name}'" if geom.name else f"geom {geom.id}")
+        names.append(name)
         covers.append(boxes)
         _replace(spec, geom, boxes)
     if not covers:
-        return None
+        return []
     shown = ", ".join(names[:_MOST_NAMES]) + (", …" if len(names) > _MOST_NAMES else "")
     many, furthest = sum(len(boxes.middle) for boxes in covers), max(boxes.reach for boxes in covers)
-    return (
-        f"{shown}: {many} boxes stand for what is no box along the axes, and reach at most {furthest:.3g} m "
-        "beyond it"
-    )
+    return [
+        f"{many} boxes along the axes stand for geom {shown}; they hold all of it and reach at most "
+        f"{np.ceil(1e4 * furthest) / 1e4:g} m beyond"
+    ]
 
 
 def _boxes(

@@ -13,6 +13,21 @@ from pecjax.errors import InputError
 _MOST_CORNERS = 2048  # of a polyhedron
 
 
+def collides(model: mujoco.MjModel, geom: int) -> bool:
+    """Whether a geom can touch anything."""
+    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
+
+
+def is_wall(model: mujoco.MjModel, geom: int, drone: int) -> bool:
+    """Whether a geom can be hit, and is not the drone's."""
+    return model.geom_bodyid[geom] != drone and collides(model, geom)
+
+
+def is_along_axes(axes: np.ndarray) -> bool:
+    """Whether axes, the columns of (3, 3), are the map's but for right angles."""
+    return np.allclose(np.abs(axes).max(axis=0), 1.0, atol=1e-6)
+
+
 def corners_of(model: mujoco.MjModel, geom: int, slack: float) -> tuple[np.ndarray, float] | None:
     """A polyhedron that holds a geom; None for a plane or a height field, which is no convex solid.
 
