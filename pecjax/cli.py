@@ -1,4 +1,4 @@
-"""The command line: `pecjax train`, `eval`, `study`, `figures`, `check`, `maps`, `spaces`; `--version`."""
+"""The command line: `pecjax train`, `eval`, `study`, `figures`, `check`, `new-map`, `maps`, `spaces`."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from pecjax.commands.check import Check
 from pecjax.commands.evaluate import Eval
 from pecjax.commands.figures import Figures
 from pecjax.commands.maps import ACTIONS, Maps
+from pecjax.commands.new_map import NewMap
 from pecjax.commands.options import read
 from pecjax.commands.spaces import Spaces
 from pecjax.commands.study import Study
@@ -31,6 +32,7 @@ Command = (
     | Annotated[Study, tyro.conf.subcommand("study")]
     | Annotated[Figures, tyro.conf.subcommand("figures")]
     | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[NewMap, tyro.conf.subcommand("new-map")]
     | Annotated[Maps, tyro.conf.subcommand("maps")]
     | Annotated[Spaces, tyro.conf.subcommand("spaces")]
 )

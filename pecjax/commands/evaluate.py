@@ -46,7 +46,7 @@ class Eval:
         space: a named space, or the file of one. (default: the run's own)
         split: train or held-out, of a space. (default: held-out)
         coordinates: the paper's set 1 or 2, or a file of configurations. (default: the run's own)
-        scene: maps with their drone in MJCF, files or folders. (default: the run's own)
+        scene: maps as MJCF or text plans (.txt), files or folders. (default: the run's own)
         json: prints one JSON object.
         out: where a figure of the report goes, as .png and .svg. (default: none is drawn)
     """

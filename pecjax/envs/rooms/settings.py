@@ -85,7 +85,8 @@ class Rooms(NavigationSettings, TaskSettings):
 
     def _whose(self, maps: Sequence[Map]) -> str:
         """More of a message about a configuration, where it may be of another map than is meant."""
-        if self.space is not None or not self.maps or self.table is not None or _marked(maps) is not None:
+        marked = self.table is None and _marked(maps) is not None
+        if self.space is not None or not self.maps or marked or self.table not in (None, "1", "2"):
             return ""
         return (
             " (these are the paper's configurations; give your own with --coordinates, or mark starts and "
