@@ -12,6 +12,8 @@ from scipy.spatial import ConvexHull, QhullError
 from pecjax.errors import InputError
 
 _DIGITS = 6  # that MuJoCo saves of a number
+_LEAST_SAVED = 0.0001  # of the volume: a cut that saves less may make the next one save more
+_NEGLIGIBLE = 1e-3  # of how far a box reaches: what rounding makes of nothing is less
 _CORNERS = np.array(list(itertools.product((-1, 1), repeat=3)))
 
 
@@ -52,7 +54,7 @@ def cover(vertices: np.ndarray, reach: float, most: int) -> BoxCover:
         if furthest <= reach:
             boxes.append((middle, half, furthest))
         else:
-            waiting.extend(_halves(edges, np.abs(beyond).max(axis=0) > 1e-6 * furthest))
+            waiting.extend(_halves(edges, np.abs(beyond).max(axis=0) > _NEGLIGIBLE * furthest))
         if len(boxes) + len(waiting) > most:
             raise InputError(f"it takes more than {most} boxes")
     middles, halves, reaches = zip(*boxes, strict=True)
@@ -89,15 +91,16 @@ def _away(place: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _halves(edges: np.ndarray, changes: np.ndarray) -> list[np.ndarray]:
-    """The solid on both sides of the middle of an axis: of a long one, along which that saves volume.
+    """The solid on both sides of the middle of an axis: a long one, across which a cut saves volume.
 
     Args:
-        changes: (3,) bool, whether the solid changes along an axis; if not, a cut there is of no use.
+        changes: (3,) bool, whether the solid changes along an axis; if not, a cut across it is of no use.
     """
     choices = [[_part(edges, axis, side) for side in (-1, 1)] for axis in range(3)]
     extent = np.ptp(edges, axis=(0, 1))
     left = [sum(np.prod(np.ptp(half, axis=(0, 1)) / extent) for half in halves) for halves in choices]
-    return choices[int(np.argmax(changes * (1 + 1e-9 - np.array(left)) * extent**2))]
+    saved = np.maximum(1 - np.array(left), _LEAST_SAVED)
+    return choices[int(np.argmax(changes * saved * extent**2))]
 
 
 def _part(edges: np.ndarray, axis: int, side: int) -> np.ndarray:
