@@ -131,14 +131,14 @@ def test_rays_end_no_later_than_mujocos_and_near_something_solid(folder, approxi
         assert np.all(ours <= true + FLOAT32)
         met = ours < 20
         hits.append(origin + ours[met, None] * ways[met])
-        errors.append((true - ours)[met])
+        errors.append(true[met] - ours[met])
     hits, errors = np.concatenate(hits), np.concatenate(errors)
     assert np.all(true_distance(hits) <= reach + 3e-4)
     assert len(hits) > 500 and (errors > 0.005).sum() > 50 and np.median(errors) < reach
 
 
 def test_the_kept_map_has_the_boxes_and_asks_for_nothing(folder, approximated, tmp_path):
-    assert "obj" not in approximated.text and "cylinder" not in approximated.text.split('name="drone"')[0]
+    assert "stone" not in approximated.text
     assert {"floor", "south", "north", "far"} < set(approximated.map.names)
     assert len(approximated.map.names) > 40
     (tmp_path / "scene.xml").write_text(approximated.text)
@@ -163,16 +163,19 @@ def refused(path, approximate):
     return str(caught.value)
 
 
-@pytest.mark.parametrize("approximate", [0, -1, float("nan"), float("inf")])
+@pytest.mark.parametrize("approximate", [0, -1, 1e-5, float("nan"), float("inf")])
 def test_a_reach_that_is_none(folder, approximate):
-    assert "give a length in metres above 0" in refused(folder / "map.xml", approximate)
+    with pytest.raises(
+        pecjax.InputError, match=r"^approximate is \S+; give metres, 0\.001 at least, 0\.05 say$"
+    ):
+        read_mjcf(folder / "map.xml", approximate)
 
 
-@pytest.mark.parametrize("shape", ["egg", "turned", "pillar"])
+@pytest.mark.parametrize("shape", ["egg", "turned"])
 def test_what_would_take_too_many_boxes_is_refused_by_name(shape, tmp_path):
     (tmp_path / "map.xml").write_text(world({shape: SHAPES[shape]}))
-    message = refused(tmp_path / "map.xml", 1e-5)
-    assert f"map.xml, line 6: geom '{shape}' cannot be approximated to 1e-05 m: it " in message
+    message = refused(tmp_path / "map.xml", 1e-3)
+    assert f"map.xml, line 6: geom '{shape}' cannot be approximated to 0.001 m: it " in message
 
 
 @pytest.mark.parametrize(
@@ -185,7 +188,12 @@ def test_what_would_take_too_many_boxes_is_refused_by_name(shape, tmp_path):
 def test_what_is_no_convex_solid_stays_refused(geom, words, tmp_path):
     hill = '<asset><hfield name="hill" nrow="2" ncol="2" size="1 1 1 1"/></asset><worldbody>'
     path = tmp_path / "map.xml"
-    path.write_text(world({"it": geom}).replace("<worldbody>", hill).replace('euler="5 0 0"', ""))
+    path.write_text(
+        world({"it": geom})
+        .replace("<worldbody>", hill)
+        .replace('euler="5 0 0"', "")
+        .replace('euler="0 0 10"', "")
+    )
     with pytest.raises(pecjax.InputError, match=words):
         pecjax.load_scene(path, approximate=0.1)
 

@@ -14,6 +14,7 @@ from pecjax.envs.rooms.maps import MAX_WALLS
 from pecjax.envs.rooms.solids import corners_of, is_along_axes, is_wall
 from pecjax.errors import InputError
 
+MIN_REACH = 0.001  # m
 _SLACK = 0.2  # share of the reach that making round shapes many-sided may take
 _MOST_NAMES = 3
 
@@ -34,10 +35,10 @@ def approximate_shapes(
         what has become of which shapes, for people; nothing where there are none.
 
     Raises:
-        InputError: a reach that is not above 0, or a shape that takes too many boxes.
+        InputError: a reach of less than a millimetre, or a shape that takes too many boxes.
     """
-    if not 0 < reach < np.inf:
-        raise InputError(f"approximate is {reach}; give a length in metres above 0, 0.05 say")
+    if not MIN_REACH <= reach < np.inf:
+        raise InputError(f"approximate is {reach}; give metres, {MIN_REACH:g} at least, 0.05 say")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     drone = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "drone")

@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from pecjax.errors import InputError
 
+_DECIMALS = 12  # of m, beyond which points are the same
 _DIGITS = 6  # that MuJoCo saves of a number
 _LEAST_SAVED = 0.0001  # of the volume: a cut that saves less may make the next one save more
 _NEGLIGIBLE = 1e-3  # of how far a box reaches: what rounding makes of nothing is less
@@ -46,7 +47,7 @@ def cover(vertices: np.ndarray, reach: float, most: int) -> BoxCover:
     boxes, waiting = [], [_edges(np.asarray(vertices, np.float64))]
     while waiting:
         edges = waiting.pop()
-        points = np.unique(edges.reshape(-1, 3).round(12), axis=0)
+        points = np.unique(edges.reshape(-1, 3).round(_DECIMALS), axis=0)
         middle, half = _box_around(points)
         # The distance to a convex solid is greatest at a corner of the box.
         beyond = np.array([_away(middle + half * signs, points) for signs in _CORNERS])
@@ -97,7 +98,7 @@ def _halves(edges: np.ndarray, changes: np.ndarray) -> list[np.ndarray]:
         changes: (3,) bool, whether the solid changes along an axis; if not, a cut across it is of no use.
     """
     choices = [[_part(edges, axis, side) for side in (-1, 1)] for axis in range(3)]
-    extent = np.ptp(edges, axis=(0, 1))
+    extent = np.maximum(np.ptp(edges, axis=(0, 1)), 10.0**-_DECIMALS)
     left = [sum(np.prod(np.ptp(half, axis=(0, 1)) / extent) for half in halves) for halves in choices]
     saved = np.maximum(1 - np.array(left), _LEAST_SAVED)
     return choices[int(np.argmax(changes * saved * extent**2))]
@@ -120,6 +121,7 @@ def _part(edges: np.ndarray, axis: int, side: int) -> np.ndarray:
 
 def _around(points: np.ndarray, axis: int) -> np.ndarray:
     """Edges (N, 2, 3) of the convex face that has these corners, across the axis."""
+    points = points[np.unique(points.round(_DECIMALS), axis=0, return_index=True)[1]]
     across = np.delete(points, axis, axis=1)
     x, y = (across - across.mean(axis=0)).T
     ring = points[np.argsort(np.arctan2(y, x))]
