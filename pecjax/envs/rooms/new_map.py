@@ -53,24 +53,22 @@ _MJCF = """\
 
 _TEXT = """\
 // Three rooms, to be changed: # is wall, . is free.
-// It flies from every S to every G, unless it is given other places with --coordinates.
-// A character is a square of this many metres, and walls are so high:
-cell 0.5
+// The drone flies from every S to every G, unless it is given other places with --coordinates.
+// A character is a square of so many metres, and walls are so high:
+cell 1
 height 2.5
 
-#####################
-#.........#.........#
-#.S.......#......G..#
-#.........#.........#
-#.........#.........#
-#.........#.........#
-#....#....#####...###
-#...................#
-#...................#
-#...................#
-#.S.......#......G..#
-#.........#.........#
-#####################
+################
+#......#.......#
+#......#.....G.#
+#.S....#.......#
+#......#.......#
+#...#..#####..##
+#..............#
+#..............#
+#.S....#.....G.#
+#......#.......#
+################
 """
 
 

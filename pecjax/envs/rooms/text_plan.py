@@ -15,7 +15,7 @@ from pecjax.errors import InputError
 SUFFIX = ".txt"  # what a plan's file is told by
 WALL, START, GOAL, FREE = "#", "S", "G", ". "
 COMMENT = "//"
-CELL, HEIGHT = 0.5, 2.5  # m, where a plan says nothing
+CELL, HEIGHT = 1.0, 2.5  # m, where a plan says nothing
 MAX_CELLS = 2**20
 _LENGTHS = {"cell": CELL, "height": HEIGHT}
 _MAX_LENGTH = 100  # m
@@ -26,7 +26,7 @@ def read_text_plan(path: Path, text: str) -> mujoco.MjSpec:
     """The walls of a plan as boxes, its starts and goals as sites, without a drone.
 
     `#` is wall, `.` and blanks are free, `S` is a start, `G` a goal. The lower left corner of the drawing is
-    the origin, x grows to the right and y upwards. Lines `cell 0.5` and `height 2.5` above the drawing
+    the origin, x grows to the right and y upwards. Lines `cell 1` and `height 2.5` above the drawing
     are the size of a character and the height of the walls in metres. What begins with `//` is ignored.
 
     Raises:
@@ -134,7 +134,7 @@ def _slices(corners: tuple[tuple[int, int], tuple[int, int]]) -> tuple[slice, sl
 def _grown(walls: np.ndarray, row: int, column: int) -> tuple[tuple[int, int], tuple[int, int]]:
     """The rectangle around a wall cell that is as wide as its row allows, and then as high."""
     left, right = _run(walls[row], column)
-    top, bottom = _run(walls[:, left:right].all(axis=1), row)
+    top, bottom = _run(np.asarray(walls[:, left:right].all(axis=1)), row)
     return (top, left), (bottom, right)
 
 
