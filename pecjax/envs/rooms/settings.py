@@ -75,7 +75,7 @@ class Rooms(NavigationSettings, TaskSettings):
             try:
                 check_configurations(maps, table, task.vehicle.radius, self.flight_height, source)
             except InputError as error:
-                raise InputError(f"{error}{self._whose(maps)}") from None
+                raise InputError(f"{error}{self._hint(maps)}") from None
         if bank is not None and task.vehicle.radius > RADIUS:
             raise InputError(
                 f"the drone has a radius of {task.vehicle.radius:g} m; the maps of space '{self.space}' are "
@@ -83,8 +83,8 @@ class Rooms(NavigationSettings, TaskSettings):
             )
         return task, World(RoomsParams(make_bank(maps) if bank is None else bank), table)
 
-    def _whose(self, maps: Sequence[Map]) -> str:
-        """More of a message about a configuration, where it may be of another map than is meant."""
+    def _hint(self, maps: Sequence[Map]) -> str:
+        """What else to say of a configuration that cannot be flown: the paper's do not fit other maps."""
         marked = self.table is None and _marked(maps) is not None
         if self.space is not None or not self.maps or marked or self.table not in (None, "1", "2"):
             return ""
