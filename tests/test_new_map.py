@@ -49,7 +49,9 @@ def test_a_new_map_passes_check_and_says_what_to_type_next(name, capsys):
     assert main(lines[1].split()[1:]) == 0
     out, err = capsys.readouterr()
     assert "4 configurations: every one can be flown" in out and err == ""
-    assert sorted(path.name for path in Path().iterdir()) == ["check.png", "check.svg", name]
+    assert {path.stem for path in Path().iterdir()} == {"check", Path(name).stem} and Path(
+        "check.png"
+    ).exists()
 
 
 def test_the_drone_of_a_new_map_is_that_of_the_six_rooms(scene):
@@ -71,17 +73,33 @@ def test_nothing_is_overwritten(capsys):
     assert [path.read_text() for path in Path().iterdir()] == ["mine"]
 
 
+def trained(name, *options):
+    assert (
+        main(["train", "--scene", name, *options, "--iterations", "1", "--num-envs", "8", "--out", "run"])
+        == 0
+    )
+    Path(name).unlink()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["my_rooms.xml", "my_plan.txt"])
 def test_a_new_map_trains_with_one_command(name, capsys):
     assert main(["new-map", name]) == 0
-    assert main(["train", "--scene", name, "--iterations", "1", "--num-envs", "8", "--out", "run"]) == 0
-    Path(name).unlink()
+    trained(name)
+    assert "notice" not in capsys.readouterr().err
     assert main(["eval", "run", "--episodes", "4"]) == 0
     assert len(re.findall(r"^  c\d ", capsys.readouterr().out, re.M)) == 4
-    assert (
-        "start_0" in Path("run/scene.xml").read_text() or "start_south" in Path("run/scene.xml").read_text()
-    )
+
+
+@pytest.mark.slow
+def test_walls_alone_train_and_say_what_was_added(capsys):
+    write("my_walls.xml", blocks("xml")[0])
+    trained("my_walls.xml", "--task.approximate", "0.1")
+    told = [line for line in capsys.readouterr().err.splitlines() if "notice: " in line]
+    assert len(told) == 2 and "the drone of the six rooms is added" in told[0]
+    assert "boxes along the axes stand for geom 5" in told[1]
+    assert main(["train", "--resume", "--out", "run", "--iterations", "2"]) == 0
+    assert "notice" not in capsys.readouterr().err
 
 
 # Plans drawn with characters.
