@@ -7,7 +7,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
-.PHONY: train test test-slow lint lock
+.PHONY: train test test-slow lint docs lock three
 
 train: $(VENV)/installed
 	$(BIN)/pecjax train
@@ -26,12 +26,22 @@ lint: $(VENV)/installed
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/lint-imports
 
+# The docs site, in docs/_build/html; nothing is fetched.
+docs: $(VENV)/installed
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs docs/_build/html
+
 $(VENV)/installed: requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --requirement requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --editable .
 	touch $@
 
+# Needs npm: three.js for the page of `pecjax watch`, as package.json says.
+three:
+	cd pecjax/viewing/three && npm install --no-save --no-package-lock && npm run build
+	cp pecjax/viewing/three/node_modules/three/LICENSE pecjax/viewing/three/LICENSE
+	rm -r pecjax/viewing/three/node_modules
+
 # Needs uv; run it after a change of the dependencies in pyproject.toml.
 lock:
-	uv pip compile --quiet --universal --python-version 3.11 --extra dev --upgrade --output-file requirements.lock pyproject.toml
+	uv pip compile --quiet --universal --python-version 3.11 --extra dev --extra docs --upgrade --output-file requirements.lock pyproject.toml

@@ -20,7 +20,7 @@ from pecjax.envs.axes import axes_of
 from pecjax.envs.rooms.config import Configurations
 from pecjax.envs.task import EvalSet, take_configs
 from pecjax.plotting.evaluation import evaluation
-from pecjax.plotting.style import save
+from pecjax.plotting.style import save, set_title
 from pecjax.runtime.devices import keep_compiled_programs, use_all_cores
 from pecjax.training.eval_report import make_report
 from pecjax.training.load import open_run
@@ -86,7 +86,7 @@ def main(words: list[str] | None = None) -> None:
         bins |= report["features"]
         print(name, [(part["low"], round(part["goal_ratio"], 3)) for part in report["features"][name]])
     figure = evaluation({"all": report["all"], "groups": {}, "features": bins})
-    figure.suptitle(f"{held_out.size} held-out configurations at each value; bars: 95 %", fontsize=9)
+    set_title(figure, f"{held_out.size:,} held-out configurations at each value")
     save(figure, given.out)
 
 

@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from pecjax.curriculum import Outcomes, SamplerSettings
-from pecjax.plotting.style import FAILURES, GOAL, PATH
+from pecjax.plotting.style import BLUE, PAGE, RED, YELLOW, name_panels, set_title, styled
 from pecjax.training.kinds import make_kind
 
 NAMES = (
@@ -38,13 +38,13 @@ NUM_CONFIGS = SOLVED + LEARNED + FAILED
 RISE = 12.0  # batches in which the odds of a success rise e-fold
 SHOWN = 100  # the batch after which probabilities are drawn as bars too
 
-# Blue below the uniform share, red above it.
-_COLOURS = LinearSegmentedColormap.from_list("draws", [PATH, "white", FAILURES]).with_extremes(bad=PATH)
+# The darker, the more often: in grey as in colour.
+_COLOURS = LinearSegmentedColormap.from_list("draws", ["white", YELLOW, RED, BLUE]).with_extremes(bad="white")
 _SHARES = LogNorm(0.1, 10)
-_CHANCES = LinearSegmentedColormap.from_list("chances", ["white", GOAL])
-_OUTCOMES = LinearSegmentedColormap.from_list("outcomes", [FAILURES, GOAL]).with_extremes(bad="white")
+_CHANCES = LinearSegmentedColormap.from_list("chances", ["white", BLUE])
+_OUTCOMES = LinearSegmentedColormap.from_list("outcomes", [YELLOW, BLUE]).with_extremes(bad="white")
 _MAP: dict[str, Any] = {"aspect": "auto", "origin": "lower", "interpolation": "nearest"}
-NUM_COLOURS = 256  # of a picture
+NUM_COLOURS, DPI = 256, 200  # of a picture
 
 
 class History(NamedTuple):
@@ -113,12 +113,13 @@ def summary(share: np.ndarray, chance: np.ndarray) -> list[float]:
     ]
 
 
+@styled
 def draw_history(history: History) -> Figure:
     """The true chances, and the episodes that the samplers hear of."""
-    figure = Figure((7.0, 2.4), layout="constrained")
+    figure = Figure((PAGE, 2.1), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     image = left.imshow(history.chance.T, cmap=_CHANCES, vmin=0, vmax=1, **_MAP)
-    figure.colorbar(image, ax=left, pad=0.02).set_label("chance of success", fontsize=8)
+    figure.colorbar(image, ax=left, pad=0.02).set_label("Chance of success")
     batch, _ = np.indices(history.outcomes.done.shape)
     told = np.zeros((2, *history.chance.shape))
     failed = np.asarray(history.outcomes.failed)
@@ -126,73 +127,78 @@ def draw_history(history: History) -> Figure:
     successes, trials = told[0][:, history.ids], told.sum(axis=0)[:, history.ids]
     ratio = np.divide(successes, trials, out=np.full(trials.shape, np.nan), where=trials > 0)
     right.imshow(ratio.T, cmap=_OUTCOMES, vmin=0, vmax=1, **_MAP)
-    for axes, title in ((left, "what is true"), (right, "what is heard (green: success)")):
-        _frame(axes, history.chance, title)
-    left.set_ylabel("configurations,\neasy to hard", fontsize=8)
+    for axes in (left, right):
+        _frame(axes, history.chance)
+    name_panels([left, right], ["What is true", "What is heard (dark: success, pale: failure)"])
+    left.set_ylabel("Configurations,\neasy to hard")
     return figure
 
 
+@styled
 def draw_sampler(name: str, share: np.ndarray, chance: np.ndarray) -> Figure:
     """Its probabilities over the batches, and those after one of them as bars."""
-    figure = Figure((6.4, 2.4), layout="constrained")
+    figure = Figure((PAGE, 2.2), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(4, 1))
-    _heat(left, share, chance, name)
+    _heat(left, share, chance)
     left.axvline(SHOWN, color="0.35", linewidth=0.8, linestyle="--")
-    left.set_ylabel("configurations,\neasy to hard", fontsize=8)
+    left.set_ylabel("Configurations,\neasy to hard")
     right.barh(np.arange(NUM_CONFIGS), share[SHOWN], height=1, color="0.6")
     right.axvline(1, color="black", linewidth=0.8, linestyle=":")
-    right.set_title(f"after batch {SHOWN}", fontsize=9, pad=3)
-    right.set_xlabel("× uniform", fontsize=8)
+    name_panels([left, right], ["Probabilities", f"After batch {SHOWN}"])
+    right.set_xlabel("Probability, × uniform")
     right.set_xlim(0, max(2.0, 1.05 * share[SHOWN].max()))
-    right.tick_params(axis="x", labelsize=8)
     _scale(figure, [left, right])
+    set_title(figure, name)
     return figure
 
 
+@styled
 def draw_all(found: dict[str, np.ndarray], chance: np.ndarray) -> Figure:
     """The probabilities of all, on one page."""
     rows = -(-len(found) // 3)
-    figure = Figure((8.4, 1.75 * rows + 0.3), layout="constrained")
+    figure = Figure((PAGE, 1.5 * rows + 0.3), layout="constrained")
     cells = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False)
     for axes in cells.ravel()[len(found) :]:
         axes.set_axis_off()
-    for axes, (name, share) in zip(cells.ravel(), found.items(), strict=False):
-        _heat(axes, share, chance, name)
+    for axes, share in zip(cells.ravel(), found.values(), strict=False):
+        _heat(axes, share, chance)
         axes.label_outer()
+    name_panels(cells.ravel().tolist()[: len(found)], found)
     _scale(figure, cells.ravel().tolist())
     return figure
 
 
-def _heat(axes: Axes, share: np.ndarray, chance: np.ndarray, title: str) -> None:
+def _heat(axes: Axes, share: np.ndarray, chance: np.ndarray) -> None:
     axes.imshow(share.T, cmap=_COLOURS, norm=_SHARES, **_MAP)
-    _frame(axes, chance, title)
+    _frame(axes, chance)
 
 
-def _frame(axes: Axes, chance: np.ndarray, title: str) -> None:
+def _frame(axes: Axes, chance: np.ndarray) -> None:
     """Lines around what is being learned, and the names of what never changes."""
     axes.contour(chance.T, levels=[0.1, 0.9], colors="black", linewidths=0.7)
-    axes.set_title(title, fontsize=9, pad=3)
-    axes.set_xlabel("batch", fontsize=8)
-    axes.set(yticks=[1.5, NUM_CONFIGS - 2.5], yticklabels=["always\nsolved", "always\nfails"])
-    axes.tick_params(axis="y", length=0, labelsize=7)
-    axes.tick_params(axis="x", labelsize=8)
+    axes.set_xlabel("Batch")
+    axes.set(yticks=[1.5, NUM_CONFIGS - 2.5], yticklabels=["Always\nsolved", "Always\nfails"])
+    axes.tick_params(axis="y", length=0)
     for border in (SOLVED - 0.5, NUM_CONFIGS - FAILED - 0.5):
         axes.axhline(border, color="black", linewidth=0.5, linestyle=":")
 
 
 def _scale(figure: Figure, of: list[Axes]) -> None:
     bar = figure.colorbar(ScalarMappable(_SHARES, _COLOURS), ax=of, pad=0.02, extend="both", aspect=30)
-    bar.set_label("probability, × uniform", fontsize=8)
+    bar.set_label("Probability, × uniform")
     bar.set_ticks([0.1, 0.3, 1, 3, 10], labels=["0.1", "0.3", "1", "3", "10"])
     bar.minorticks_off()
-    bar.ax.tick_params(labelsize=8)
 
 
 def save(figure: Figure, path: Path) -> None:
     """Writes a PNG of few colours: a third of the size."""
     file = BytesIO()
-    figure.savefig(file, dpi=100)
-    few = Image.open(file).convert("RGB").quantize(NUM_COLOURS, dither=Image.Dither.NONE)
+    figure.savefig(file, dpi=DPI)
+    few = (
+        Image.open(file)
+        .convert("RGB")
+        .quantize(NUM_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    )
     few.save(path, optimize=True)
 
 

@@ -101,7 +101,7 @@ print(f"{len(path)} steps, goal reached: {bool(after.success)}")
 
 # %%
 figure, axes = plt.subplots(figsize=(5, 5))
-floor_plan(axes, scene)
+floor_plan(axes, scene.map, scene.drone_radius)
 axes.plot(*np.array(path).T, color="#1f5f99")
 axes.plot(*config.goal, "o", color="#00573f")
 plt.show()

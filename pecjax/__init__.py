@@ -24,7 +24,9 @@ if TYPE_CHECKING:
         load_scene as load_scene,
     )
     from pecjax.envs.task import Task as Task, TaskSettings as TaskSettings
+    from pecjax.export.files import export_policy as export_policy
     from pecjax.settings_tree import set_path as set_path
+    from pecjax.training import sinks as sinks
     from pecjax.training.load import open_run as open_run
     from pecjax.training.presets import find_preset as find_preset
     from pecjax.training.result import train as train
@@ -34,7 +36,12 @@ if TYPE_CHECKING:
 __version__ = "0.2.0.dev0"
 
 # Loaded when they are first asked for: who wants the samplers alone needs no simulator.
-_SUBPACKAGES = ("agents", "curriculum", "envs")
+_SUBPACKAGES = {
+    "agents": "pecjax.agents",
+    "curriculum": "pecjax.curriculum",
+    "envs": "pecjax.envs",
+    "sinks": "pecjax.training.sinks",
+}
 _NAMES = {
     **dict.fromkeys(
         (
@@ -55,6 +62,7 @@ _NAMES = {
     ),
     "Task": "pecjax.envs.task",
     "TaskSettings": "pecjax.envs.task",
+    "export_policy": "pecjax.export.files",
     "set_path": "pecjax.settings_tree",
     "RunSettings": "pecjax.training.settings",
     "Sink": "pecjax.training.sinks",
@@ -67,7 +75,7 @@ _NAMES = {
 def __getattr__(name: str) -> Any:
     """Loads a public name (PEP 562)."""
     if name in _SUBPACKAGES:
-        return importlib.import_module(f"pecjax.{name}")
+        return importlib.import_module(_SUBPACKAGES[name])
     if name in _NAMES:
         return getattr(importlib.import_module(_NAMES[name]), name)
     raise AttributeError(f"module 'pecjax' has no attribute '{name}'")

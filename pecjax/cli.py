@@ -1,4 +1,4 @@
-"""The command line: `pecjax train`, `eval`, `study`, `figures`, `check`, `new-map`, `maps`, `spaces`."""
+"""The command line: `pecjax train`, `eval`, `watch`, `study` and others; `pecjax --help` names them all."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import pecjax
 from pecjax.commands import settings_args
 from pecjax.commands.check import Check
 from pecjax.commands.evaluate import Eval
+from pecjax.commands.export import Export
 from pecjax.commands.figures import Figures
 from pecjax.commands.maps import ACTIONS, Maps
 from pecjax.commands.new_map import NewMap
@@ -22,6 +23,7 @@ from pecjax.commands.options import read
 from pecjax.commands.spaces import Spaces
 from pecjax.commands.study import Study
 from pecjax.commands.train import Train
+from pecjax.commands.watch import Watch
 from pecjax.errors import DivergedError, InputError, LostProcessError, StoppedError
 from pecjax.runtime import devices
 from pecjax.settings_tree import nearest
@@ -29,8 +31,10 @@ from pecjax.settings_tree import nearest
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
+    | Annotated[Watch, tyro.conf.subcommand("watch")]
     | Annotated[Study, tyro.conf.subcommand("study")]
     | Annotated[Figures, tyro.conf.subcommand("figures")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[NewMap, tyro.conf.subcommand("new-map")]
     | Annotated[Maps, tyro.conf.subcommand("maps")]

@@ -1,4 +1,4 @@
-"""The errors that are no faults of ours."""
+"""Errors with causes outside pecjax: bad input, a stop, a lost process, divergence."""
 
 import signal
 
@@ -9,11 +9,11 @@ class InputError(ValueError):
     """Something the user gave is wrong: a file, a number, a name.
 
     The message is one line that says what is wrong, where, and what to do. The command line
-    prints it as it stands and exits with code 2; every other exception is a fault of ours.
+    prints it unchanged and exits with code 2. Every other exception is a bug in pecjax.
     """
 
     def __init__(self, message: str) -> None:
-        """Whatever a library put into the message, it stays one line of bounded length."""
+        """Keeps the message to one line of bounded length, whatever a library put into it."""
         line = " ".join(message.split())
         super().__init__(line if len(line) <= MAX_LENGTH else line[: MAX_LENGTH - 1] + "…")
 
@@ -22,7 +22,7 @@ class StoppedError(KeyboardInterrupt):
     """A training was asked to stop, and has saved all that it needs to resume.
 
     Attributes:
-        signal: what asked it: SIGINT (Ctrl-C) or SIGTERM.
+        signal: the signal that asked for it: SIGINT (Ctrl-C) or SIGTERM.
     """
 
     def __init__(self, message: str, signal: signal.Signals) -> None:

@@ -172,10 +172,7 @@ def nearest(word: str, known: list[str]) -> str:
 
 
 def _only_kind(module: str, base: type[T]) -> type[T] | None:
-    """The kind that a module defines, if it defines just one.
-
-    A module that needs a library of an extra, which is not installed, is passed over.
-    """
+    """The kind that a module defines, if just one; none of a module whose library is not installed."""
     try:
         content = vars(importlib.import_module(module))
     except ModuleNotFoundError as error:

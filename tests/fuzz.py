@@ -246,7 +246,7 @@ def sample_run(folder: Path) -> Path:
     counts = {name: np.arange(20) for name in ("trials", "failures", "probability")}
     flights = {
         "config_id": np.arange(3), "success": np.ones(3, bool), "return": np.zeros(3),
-        "length": np.array([2, 0, 1]), "path_episode": np.arange(2), "paths": np.zeros((2, 3, 2)),
+        "length": np.array([2, 0, 1]), "recorded": np.arange(2), "poses": np.zeros((2, 3, 7)),
     }  # fmt: skip
     write_arrays(folder / "configurations" / "3.npz", counts)
     write_arrays(folder / "episodes" / "3.npz", flights)

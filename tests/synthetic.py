@@ -59,7 +59,7 @@ def add(collected, iteration, size, value):
         flights = made_flights(size, value)
         collected.arrays("configurations", iteration, [configuration_arrays(counts, np.full(size, 1 / size))])
         collected.rows("evaluation", [evaluation_row(iteration, steps, flights, EvalSet(np.zeros(size)))])
-        collected.arrays("episodes", iteration, [episode_arrays(flights, with_paths=False)])
+        collected.arrays("episodes", iteration, [episode_arrays(flights)])
 
 
 def made_counts(size, ratio):
@@ -83,4 +83,4 @@ def made_metrics(ratio):
 def made_flights(size, ratio):
     config_id = np.repeat(np.arange(size), EPISODES)
     success = np.arange(config_id.size) % EPISODES < round(EPISODES * ratio)
-    return EvalResult(config_id, success, 2000.0 * success, np.full(success.shape, 3), {}, None)
+    return EvalResult(config_id, success, 2000.0 * success, np.full(success.shape, 3), {})

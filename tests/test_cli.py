@@ -74,7 +74,7 @@ def refused(tmp_path, monkeypatch, capsys):
 def test_train_leaves_a_run_and_its_figures(run):
     assert pd.read_csv(run / "metrics.csv").env_steps.tolist() == [256, 512]
     there = {path.suffix for path in (run / "figures").iterdir()}
-    assert there == {".png", ".svg"}
+    assert there == {".pdf", ".png"}
     settings = json.loads((run / "config.json").read_text())["settings"]
     assert settings["stop"]["iterations"] == 2 and settings["agent"]["num_envs"] == 8
     assert settings["seed"] == 5
@@ -121,9 +121,7 @@ def test_figures_draws_them_again_and_names_them(run, capsys):
 @pytest.mark.slow
 def test_the_sampler_that_the_docs_show_trains_resumes_and_evaluates(tmp_path, monkeypatch, capsys):
     """It lies in a file beside, and the run knows it by its address."""
-    shown = re.search(
-        r"```python\n(# mine\.py.*?)```", (ROOT / "docs/architecture.md").read_text(), re.DOTALL
-    )
+    shown = re.search(r"```python\n(# mine\.py.*?)```", (ROOT / "docs/own-sampler.md").read_text(), re.DOTALL)
     (tmp_path / "mine.py").write_text(shown[1])
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
@@ -204,13 +202,13 @@ def test_check_passes_the_papers_sets_and_draws_them(coordinates, tmp_path, caps
     assert main(["check", "--coordinates", coordinates, "--out", str(tmp_path / "map")]) == 0
     size = (pecjax.COORDINATE_SET_1 if coordinates == "1" else pecjax.COORDINATE_SET_2).size
     assert f"{size} configurations" in capsys.readouterr().out
-    assert {path.name for path in tmp_path.iterdir()} == {"map.png", "map.svg"}
+    assert {path.name for path in tmp_path.iterdir()} == {"map.pdf", "map.png"}
     assert min(path.stat().st_size for path in tmp_path.iterdir()) > 5000
 
 
 def test_check_draws_to_the_name_it_is_given(tmp_path):
     assert main(["check", "--out", str(tmp_path / "map.v2")]) == 0
-    assert {path.name for path in tmp_path.iterdir()} == {"map.v2.png", "map.v2.svg"}
+    assert {path.name for path in tmp_path.iterdir()} == {"map.v2.pdf", "map.v2.png"}
 
 
 @pytest.mark.parametrize("command", [[], ["train"], ["eval"], ["figures"], ["check"]])

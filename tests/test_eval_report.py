@@ -19,7 +19,7 @@ def flights(config_id, success, path_length=None):
     number = len(config_id)
     metrics = {} if path_length is None else {"path_length": np.asarray(path_length, float)}
     return EvalResult(
-        np.asarray(config_id), np.asarray(success, bool), np.zeros(number), np.full(number, 10), metrics, None
+        np.asarray(config_id), np.asarray(success, bool), np.zeros(number), np.full(number, 10), metrics
     )
 
 
@@ -90,7 +90,7 @@ def test_five_values_as_many_times_each_are_five_bins():
 
 def test_the_figure_has_a_panel_for_each(report):
     figure = evaluation(report)
-    assert [axes.get_xlabel() for axes in figure.axes] == ["", "wind (m/s)", "gust"]
+    assert [axes.get_xlabel() for axes in figure.axes] == ["Groups", "Wind (m/s)", "Gust"]
     (shown,) = figure.axes[0].containers
     heights = [part["goal_ratio"] for part in report["groups"].values() if part["episodes"]]
     np.testing.assert_allclose(shown.lines[0].get_ydata(), heights)

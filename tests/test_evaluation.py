@@ -89,33 +89,35 @@ def in_a_plain_loop(task, world, config_id: np.ndarray) -> EvalResult:
     """The same episodes one after the other, with nothing but `place`, `observe` and `step`."""
     act = jax.jit(policy(jnp.zeros(15), greedy=True))
     step, observe = jax.jit(task.step), jax.jit(task.observe)
-    success, returns, lengths, paths, endings = [], [], [], [], []
+    success, returns, lengths, poses, actions, endings = [], [], [], [], [], []
     for episode, row in enumerate(config_id):
         key = jax.random.fold_in(jax.random.key(SEED), episode)
         heading = jax.random.uniform(key, minval=-jnp.pi, maxval=jnp.pi)
         state = task.place(take_configs(TABLE, row), heading)
-        total, path, over = 0.0, [TABLE.start[row]], False
+        total, path, taken, over = 0.0, [np.asarray(state.qpos)], [], False
         while not over:
             action = act(observe(key, state, world.params), key)
             after = step(key, state, action, world.params)
             state, over = after.state, bool(after.terminated)
             total += float(after.reward)
-            path.append(np.asarray(state.qpos[:2]))
+            path.append(np.asarray(state.qpos))
+            taken.append(int(action))
         success.append(bool(after.success))
-        steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        steps = np.linalg.norm(np.diff(path, axis=0)[:, :2], axis=1)
         endings.append({name: float(value) for name, value in after.metrics.items()})
         endings[-1]["path_length"] = steps.sum()
         returns.append(total)
-        lengths.append(len(path) - 1)
-        paths.append(path + [path[-1]] * (LIMIT + 1 - len(path)))
+        lengths.append(len(taken))
+        poses.append(path + [path[-1]] * (LIMIT + 1 - len(path)))
+        actions.append(taken + [0] * (LIMIT - len(taken)))
     metrics = {name: np.array([of[name] for of in endings]) for name in endings[0]}
     of_all = map(np.array, (success, returns, lengths))
-    return EvalResult(config_id, *of_all, metrics, np.array(paths))
+    return EvalResult(config_id, *of_all, metrics, np.array(poses), np.array(actions))
 
 
 def test_equals_a_plain_loop(rooms, flights):
     looped = in_a_plain_loop(*rooms, stratified_config_ids(TABLE.size, EPISODES, SEED))
-    for name in ("config_id", "success", "lengths"):
+    for name in ("config_id", "success", "lengths", "actions"):
         np.testing.assert_array_equal(getattr(flights, name), getattr(looped, name), err_msg=name)
     assert set(flights.metrics) == {"collision", "timeout", "unstable", "path_length"}
     for name in ("collision", "timeout", "unstable"):
@@ -123,8 +125,8 @@ def test_equals_a_plain_loop(rooms, flights):
     # Metres of many steps, added up in float32.
     np.testing.assert_allclose(flights.metrics["path_length"], looped.metrics["path_length"], atol=1e-3)
     np.testing.assert_allclose(flights.returns, looped.returns, rtol=1e-6)
-    # Metres, after up to 5 s of flight in float32.
-    np.testing.assert_allclose(flights.paths, looped.paths, atol=1e-3)
+    # Metres and parts of quaternions, after up to 5 s of flight in float32.
+    np.testing.assert_allclose(flights.poses, looped.poses, atol=1e-3)
     # All three endings were there to be compared.
     by_config = [set(flights.success[flights.config_id == row].tolist()) for row in range(3)]
     assert by_config == [{True}, {False}, {False}]
@@ -134,12 +136,13 @@ def test_equals_a_plain_loop(rooms, flights):
     assert max(flights.lengths[flights.config_id == 1]) < LIMIT
 
 
-def test_paths_begin_at_the_start_and_rest_after_the_end(flights):
-    assert flights.paths.shape == (EPISODES, LIMIT + 1, 2)
-    np.testing.assert_array_equal(flights.paths[:, 0], TABLE.start[flights.config_id])
-    for path, length in zip(flights.paths, flights.lengths, strict=True):
-        np.testing.assert_array_equal(path[length:], np.tile(path[length], (LIMIT + 1 - length, 1)))
-        assert np.any(path[length] != path[length - 1])  # it came to its end in flight
+def test_poses_begin_at_the_start_and_rest_after_the_end(flights):
+    assert flights.poses.shape == (EPISODES, LIMIT + 1, 7)
+    assert flights.actions.shape == (EPISODES, LIMIT)
+    np.testing.assert_array_equal(flights.poses[:, 0, :2], TABLE.start[flights.config_id])
+    for poses, length in zip(flights.poses, flights.lengths, strict=True):
+        np.testing.assert_array_equal(poses[length:], np.tile(poses[length], (LIMIT + 1 - length, 1)))
+        assert np.any(poses[length] != poses[length - 1])  # it came to its end in flight
 
 
 def test_two_devices_fly_the_episodes_of_one(evaluators):
@@ -148,7 +151,7 @@ def test_two_devices_fly_the_episodes_of_one(evaluators):
     for name in ("config_id", "success", "lengths"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name), err_msg=name)
     np.testing.assert_allclose(one.returns, two.returns, rtol=1e-6)
-    np.testing.assert_allclose(one.paths, two.paths, atol=1e-3)
+    np.testing.assert_allclose(one.poses, two.poses, atol=1e-3)
     assert one.config_id.shape == (EPISODES,)
 
 
@@ -161,13 +164,13 @@ def test_repeats_itself_exactly(evaluators, greedy):
 def test_drawn_actions_fly_otherwise_than_greedy_ones(evaluators, flights):
     sampled = evaluators(2, False)(jnp.zeros(15))
     np.testing.assert_array_equal(sampled.config_id, flights.config_id)
-    assert np.all(np.any(sampled.paths[:, -1] != flights.paths[:, -1], axis=1))
+    assert np.all(np.any(sampled.poses[:, -1] != flights.poses[:, -1], axis=1))
 
 
 def test_a_learner_so_sure_of_itself_draws_what_greedy_takes(evaluators):
     sure = jnp.full(15, -200.0).at[12].set(200.0)
     drawn, greedy = evaluators(2, False)(sure), evaluators(2, True)(sure)
-    np.testing.assert_allclose(drawn.paths, greedy.paths, atol=1e-3)
+    np.testing.assert_allclose(drawn.poses, greedy.poses, atol=1e-3)
 
 
 @pytest.mark.parametrize(("num_configs", "episodes"), [(20, 200), (20, 50), (7, 3), (1, 5), (24, 1)])
@@ -192,7 +195,7 @@ def test_goal_ratios_equal_pandas():
     expected = pd.Series(goal).groupby(config_id).mean().reindex(range(9))
     np.testing.assert_allclose(success_by_config(config_id, goal, 9), expected)
     assert np.isnan(expected[[3, 5, 6, 8]]).all()
-    flights = EvalResult(config_id, goal, None, None, {}, None)
+    flights = EvalResult(config_id, goal, None, None, {})
     np.testing.assert_allclose(flights.goal_ratios(), expected[:8])
 
 
@@ -215,7 +218,7 @@ def test_ppos_policy_takes_the_most_likely_action_or_draws_by_the_logits(env):
     assert agent.policy(learner, greedy=True)(obs, keys[0]) == 14
 
 
-def test_a_task_without_places_has_no_paths_and_its_own_metrics():
+def test_a_task_without_poses_has_its_own_metrics():
     """Episodes of one step, whose figures follow from the action by hand."""
     config_id = np.array([2, 0, 1, 0])
 
@@ -225,7 +228,7 @@ def test_a_task_without_places_has_no_paths_and_its_own_metrics():
     flights = run_episodes(
         Target(), TARGET_WORLD, act, jax.random.split(jax.random.key(0), 4), jnp.asarray(config_id)
     )
-    assert flights.paths is None
+    assert flights.poses is None
     off = 0.6 * np.abs(config_id - 1)
     np.testing.assert_allclose(flights.metrics["distance"], off, atol=1e-6)
     np.testing.assert_allclose(flights.returns, -(off**2), atol=1e-6)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from contract_task import check_task
 
+import pecjax
 from pecjax.envs.task import take_configs
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -65,3 +66,22 @@ def test_an_environment_of_gymnax():
     example = importlib.import_module("gymnax_cartpole")
     assert check_task(*example.Poles().make(), steps=60) > 0
     assert 0 <= example.main(iterations=2) <= 1
+
+
+@pytest.mark.slow
+def test_a_search_ends_trainings_that_fall_behind(capsys, monkeypatch):
+    optuna = pytest.importorskip("optuna")
+    monkeypatch.setattr(optuna.pruners, "MedianPruner", lambda **_: FromTheSecond())
+
+    class FromTheSecond(optuna.pruners.BasePruner):
+        def prune(self, study, trial):
+            return trial.number > 0
+
+    puck = importlib.import_module("own_task").PuckSettings(number=3)
+    base = pecjax.RunSettings(task=puck, agent=pecjax.agents.PPO(num_envs=8))
+    study = importlib.import_module("search").main(trials=2, iterations=2, every=1, base=base)
+    finished, pruned = study.trials
+    assert 0 <= finished.value <= 1 and [*finished.intermediate_values] == [1]
+    assert pruned.state == optuna.trial.TrialState.PRUNED
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith(f"goal ratio {finished.value:.3f}") and lines[1].endswith("(ended early)")

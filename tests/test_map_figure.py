@@ -12,7 +12,10 @@ from matplotlib.patches import Circle, FancyArrowPatch, Rectangle
 
 import pecjax
 from pecjax.envs.rooms.config import Configurations
-from pecjax.plotting.maps import floor_plan, rooms, success
+from pecjax.plotting import flights as flight_figures
+from pecjax.plotting.flights import LOOKS
+from pecjax.plotting.maps import floor_plan, rooms
+from pecjax.plotting.success_map import success
 
 # Beside the floor, the walls and the pillar of 1.4 m of OTHER_MAP.
 MORE_WALLS = """
@@ -50,7 +53,7 @@ def with_plane(furnished):
 def drawn(scene):
     """The map's axes, and the rectangle of each wall by name."""
     axes = Figure().subplots()
-    floor_plan(axes, scene)
+    floor_plan(axes, scene.map, scene.drone_radius)
     walls = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
     return axes, dict(zip(scene.map.names, walls, strict=True))
 
@@ -115,38 +118,95 @@ def test_starts_goals_and_ways_can_be_told_apart(furnished):
     ]
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == [
-        "start",
-        "goal, reached within 0.5 m",
-        "from start to goal",
-        "wall below or above flights",
+        "Start",
+        "Goal, reached within 0.5 m",
+        "From start to goal",
+        "Wall",
+        "Wall below or above flights",
     ]
 
 
-@pytest.mark.parametrize("ended", [(1, 1), (1, 0), (0, 0)])
-def test_the_legend_names_what_flights_there_are_and_fits(ended, furnished):
+@pytest.mark.parametrize(
+    "endings", [("goal", "goal"), ("goal", "collision"), ("timeout", "collision"), ("other", "goal")]
+)
+def test_the_legend_names_what_flights_there_are_and_fits(endings, furnished):
     flights = pd.DataFrame(
         {
             "episode": [0, 0, 1, 1],
             "config": [0, 0, 1, 1],
-            "success": np.repeat(ended, 2),
-            "step": [0, 1] * 2,
+            "ending": np.repeat(endings, 2),
             "x": [0.0, 1, 2, 3],
             "y": [0.0, 0, 1, 1],
         }
     )
     figure = rooms(furnished, TABLE, flights)
     words = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert ("flight that reached its goal" in words) == (1 in ended)
-    assert ("flight that ended otherwise" in words) == (0 in ended)
-    assert figure.axes[0].get_title().startswith(f"{sum(ended)} of 2 flights")
+    for kind, about in LOOKS.items():
+        assert (about.label in words) == (kind in endings)
+        assert (about.words in figure.axes[0].get_title("left")) == (kind in endings)
     figure.draw_without_rendering()
     extent = figure.legends[0].get_window_extent()
     assert figure.bbox.x0 <= extent.x0 and extent.x1 <= figure.bbox.x1
+    assert not extent.overlaps(figure.axes[0].get_window_extent())
+
+
+def test_endings_differ_in_colour_and_mark():
+    failed = [about for kind, about in LOOKS.items() if kind != "goal"]
+    assert len({about.mark for about in failed}) == len(failed)
+    assert len({LOOKS[kind].color for kind in ("goal", "collision", "timeout")}) == 3
+
+
+def test_each_flight_has_an_arrow_along_it(furnished):
+    x = np.linspace(-2, 2, 9)
+    flights = pd.DataFrame({"episode": 0, "config": 0, "ending": "goal", "x": x, "y": 0.0})
+    (axes,) = rooms(furnished, TABLE, flights).axes
+    (arrow,) = [patch for patch in axes.patches if isinstance(patch, FancyArrowPatch)]
+    (x_from, y_from), (x_to, y_to) = arrow._posA_posB
+    assert -2 < x_from < x_to < 2 and y_from == y_to == 0
+
+
+def test_how_flights_ended_is_read_from_the_run(monkeypatch):
+    table = pd.DataFrame({"episode": [3, 3, 5, 7, 9], "success": [1, 1, 0, 0, 0]})
+    places = {"success": [3], "collision": [5], "timeout": [7]}
+    kinds = {name: np.isin(np.arange(10), at) for name, at in places.items()}
+
+    class Run:
+        def __init__(self, kept):
+            self.kept = kept
+
+        def iterations(self, name):
+            return self.kept
+
+        def arrays(self, name, iteration):
+            return kinds
+
+    monkeypatch.setattr(flight_figures, "trajectory_table", lambda run: table)
+    found = flight_figures.flights_of(Run([5, 60])).ending.tolist()
+    assert found == ["goal", "goal", "collision", "timeout", "other"]
+    former = flight_figures.flights_of(Run([])).ending.tolist()  # version 0.1 kept no arrays
+    assert former == ["goal", "goal", "other", "other", "other"]
+
+
+def arrows(scene, ratios):
+    axes = Figure().subplots()
+    shade = success(axes, scene, pecjax.COORDINATE_SET_1, ratios, pecjax.NavigationSettings(), 0.5)
+    return shade, [patch for patch in axes.patches if isinstance(patch, FancyArrowPatch)]
 
 
 def test_ways_of_a_study_keep_their_colours(scene):
-    axes = Figure().subplots()
     ratios = np.linspace(0.5, 1, 20)
-    shade = success(axes, scene, pecjax.COORDINATE_SET_1, ratios, pecjax.NavigationSettings())
-    ways = [patch for patch in axes.patches if isinstance(patch, FancyArrowPatch)]
-    assert [way.get_edgecolor() for way in ways] == [to_rgba(shade.to_rgba(ratio)) for ratio in ratios]
+    shade, ways = arrows(scene, ratios)
+    assert [way.get_edgecolor() for way in ways] == [to_rgba(shade.to_rgba(ratio)) for ratio in ratios[::-1]]
+    widths = [way.get_linewidth() for way in ways]
+    assert widths == sorted(widths), "the lower, the broader"
+
+
+def test_ways_of_a_study_go_around_walls(scene):
+    """c12 and c13 lead through a door that is not between them: no point of their arrows is in a wall."""
+    _, ways = arrows(scene, np.ones(20))
+    around = [way for way in ways if way._posA_posB is None]
+    assert 0 < len(around) < 20
+    points = np.concatenate([way._path_original.vertices for way in around])
+    for lower, upper in zip(scene.wall_lower, scene.wall_upper, strict=True):
+        if lower[2] < 1.2 < upper[2]:
+            assert not ((points > lower[:2]) & (points < upper[:2])).all(axis=1).any()

@@ -546,7 +546,7 @@ def test_make_check_list_draw_and_export(run, plans, tmp_path):
     rows = [line.split() for line in out.splitlines()]
     assert code == 0 and [row[:2] for row in rows[1:]] == [[name, "2"] for name in plans.names]
     code, out, _ = run("draw new/p.npz --per-family 2 --out sheet.png")
-    assert code == 0 and out.split() == ["sheet.png", "sheet.svg"]
+    assert code == 0 and out.split() == ["sheet.pdf", "sheet.png"]
     assert (tmp_path / "sheet.png").stat().st_size > 20_000
     code, out, _ = run("export new/p.npz --map 5")
     ends = [*plans.start[5], *plans.goal[5]]

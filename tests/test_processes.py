@@ -161,7 +161,7 @@ def test_two_processes_train_as_one(agent, start, alone, tmp_path):
     both = start(args, args)
     assert exit_codes(both) == [0, 0]
     assert "goal ratio" in both[0].out.read_text()
-    assert "goal ratio" not in both[1].out.read_text() + both[1].err.read_text()  # the lead speaks
+    assert "goal ratio" not in both[1].out.read_text() + both[1].err.read_text()  # the first prints
     assert_as_alone(folder, alone(agent))
     assert len(list((folder / "figures").glob("*.png"))) == 5
 

@@ -222,7 +222,7 @@ def test_a_run_of_version_0_1_is_read_flown_and_drawn_but_not_resumed(
         tables = [table(RunDirectory(run)) for run in (folder, today)]
         pd.testing.assert_frame_equal(*tables, check_dtype=False, rtol=1e-7)
     assert main(["figures", str(folder)]) == 0
-    assert {path.suffix for path in (folder / "figures").iterdir()} == {".png", ".svg"}
+    assert {path.suffix for path in (folder / "figures").iterdir()} == {".pdf", ".png"}
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     capsys.readouterr()
     assert main(["train", "--resume", "--out", str(folder), "--iterations", "9"]) == 2

@@ -213,3 +213,11 @@ def test_n_step_returns_equal_rlax_with_endings_inside_the_window(number):
     # Towards its end rlax bootstraps from shorter windows, which we do not have.
     np.testing.assert_allclose(ours, theirs[: len(ours)], rtol=1e-5, atol=1e-3)
     assert going_on.shape == (STEPS - number + 1, ENVS) and 0 < (going_on == 0).mean() < 1
+
+
+@pytest.mark.parametrize(
+    ("rewards", "dones", "last_value"), [((4,), (4, 4), (4,)), ((4, 4), (4, 1), (4,)), ((4, 4), (4, 4), (1,))]
+)
+def test_shapes_that_would_broadcast_are_a_fault(rewards, dones, last_value):
+    with pytest.raises(AssertionError):
+        td_errors(jnp.ones(rewards), jnp.ones((4, 4)), jnp.ones(dones), jnp.ones(last_value), 0.9)

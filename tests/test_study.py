@@ -26,7 +26,7 @@ from pecjax.studies.catalogue import SCALES, STUDIES, find_study
 from pecjax.studies.directory import StudyDirectory
 from pecjax.studies.grid import RunSpec, StudySettings, fixed
 from pecjax.studies.run import run_study
-from pecjax.training import sinks, train as training
+from pecjax.training import train as training
 from pecjax.training.evaluation import stratified_config_ids
 from pecjax.training.program import several_runs
 from pecjax.training.run_directory import RunDirectory
@@ -641,13 +641,14 @@ def test_every_figure_of_a_study_is_drawn(study):
         *("goal_ratio", "evaluation", "spread", "exit", "steps_to_threshold", "map", "alpha"),
         *("configurations-pec-0", "configurations-pec-3", "configurations-uniform"),
     }
-    assert {path.suffix for path in paths} == {".png", ".svg"} and all(path.is_file() for path in paths)
+    assert {path.suffix for path in paths} == {".pdf", ".png"} and all(path.is_file() for path in paths)
 
 
 def test_the_pace_of_a_study_is_that_of_whole_batches_of_rows(monkeypatch, capsys):
     """Two runs of 100 iterations of 64 steps; after the first come 49 every 100 s, all at once."""
     now = iter([0.0] + 49 * [100.0] + [100.0] + 50 * [200.0] + [200.0])
-    monkeypatch.setattr(sinks, "time", types.SimpleNamespace(monotonic=lambda: next(now)))
+    clock = types.SimpleNamespace(monotonic=lambda: next(now))
+    monkeypatch.setattr("pecjax.training.sinks.progress.time", clock)
     progress = Progress(200)
     for iteration in range(1, 101):
         row = {"iteration": iteration, "env_steps": 64 * iteration, "goal_ratio": 0.5, "episodes": 3}

@@ -3,12 +3,13 @@
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from synthetic import BATCH, study_settings, write_study
 
-from pecjax.plotting import study_curves, study_ends
+from pecjax.plotting import seeds, study_curves, study_ends, style
 from pecjax.plotting.style import steps_axis
-from pecjax.studies import report as study_report
+from pecjax.studies import report as study_report, statistics
 from pecjax.studies.tables import read_study
 
 INF = np.inf
@@ -30,7 +31,7 @@ def drawn_points(axes):
 
 
 def medians(axes):
-    return [line.get_ydata()[0] for line in axes.lines if line.get_color() == "black"]
+    return [line.get_ydata()[0] for line in axes.lines if line.get_color() == style.BLACK]
 
 
 def zones(figure, axes):
@@ -41,8 +42,11 @@ def zones(figure, axes):
 
 
 def numbered_ticks(axes):
+    """The ticks in sight that have a number; that of the zone has words."""
     low, high = axes.get_ylim()
-    return [tick for tick in axes.get_yticks() if low <= tick <= high]
+    words = [label.get_text() for label in axes.figure.axes[0].get_yticklabels()]
+    ticks = zip(axes.get_yticks(), words, strict=True)
+    return [tick for tick, word in ticks if low <= tick <= high and "reached" not in word]
 
 
 @pytest.mark.parametrize("scale", [1e6, 1e4, 100.0])
@@ -50,7 +54,7 @@ def test_all_runs_held_and_stand_at_their_steps(scale):
     runs = made_runs(a=[1 * scale, 2 * scale, 4 * scale], b=[3 * scale, 3 * scale, 5 * scale])
     figure = study_ends.steps_to_threshold(runs)
     for axes, longer in zip(figure.axes, (1, 1.5), strict=True):
-        unit = {"(millions)": 1e6, "(thousands)": 1e3}.get(figure.axes[0].get_ylabel().split()[2][:-1], 1)
+        unit = {"(millions)": 1e6, "(thousands)": 1e3}.get(figure.axes[0].get_ylabel().rpartition(" ")[2], 1)
         numbers = longer * scale / unit * np.array([1, 2, 4, 3, 3, 5])
         np.testing.assert_allclose(drawn_points(axes)[:, 1], numbers)
         assert numbers.max() < axes.get_ylim()[1]
@@ -78,8 +82,8 @@ def test_runs_that_never_held_lie_in_a_zone_beyond_the_axis():
             "2 of 3",
             "1 of 2",
             "3 of 3",
-            "not reached",
         ]
+        assert figure.axes[0].get_yticklabels()[-1].get_text() == "Not\nreached"
         assert axes.spines["left"].get_bounds() == (0, pytest.approx(low))
 
 
@@ -90,7 +94,7 @@ def test_where_no_run_held_no_scale_is_made_up():
         points = drawn_points(axes)
         assert len(points) == 4 and (low < points[:, 1]).all() and (points[:, 1] < high).all()
         assert numbered_ticks(axes) == [] and medians(axes) == []
-        assert not axes.get_ylabel()
+        assert axes.get_ylabel() in ("Environment steps", ""), "without a unit"
 
 
 def test_a_threshold_that_no_run_held_beside_one_that_some_did():
@@ -109,7 +113,7 @@ def test_a_run_that_is_not_there_is_not_drawn():
     axes = study_ends.steps_to_threshold(runs).axes[0]
     points = drawn_points(axes)
     assert np.isfinite(points[:, 1]).sum() == 4
-    assert [text.get_text() for text in axes.texts] == ["1 of 1", "not reached"]
+    assert [text.get_text() for text in axes.texts] == ["1 of 1"]
 
 
 def test_exits_are_drawn_of_runs_that_had_one():
@@ -126,17 +130,19 @@ def test_exits_are_drawn_of_runs_that_had_one():
     runs = pd.DataFrame(
         {
             "condition": ["a", "a", "b", "b"],
+            "seed": [0, 1, 0, 1],
             "exit_at_0.9": np.array([30, INF, INF, INF]) * BATCH,
             "exit_at_0.95": np.array([38, INF, INF, INF]) * BATCH,
         }
     )
-    (axes,) = study_curves.exits(metrics, runs).axes
+    figure = study_curves.exits(metrics, runs)
+    (axes,) = figure.axes
     marks = [m for m in axes.collections if len(m.get_offsets()) and m.get_sizes().size]
     at = np.concatenate([np.ma.filled(m.get_offsets(), np.nan) for m in marks])
     np.testing.assert_allclose(sorted(at[np.isfinite(at[:, 0]), 0]), [30, 38])
     assert axes.get_xlim()[1] < 60
-    labels = axes.get_legend_handles_labels()[1]
-    assert "a: exit (1 and 1 of 2 runs)" in labels and "b: exit (0 and 0 of 2 runs)" in labels
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["a: exit in 1 and 1 of 2 runs", "b: exit in 0 and 0 of 2 runs"]
 
 
 @pytest.fixture(scope="module", params=[0.0, 1.0])
@@ -170,7 +176,51 @@ def test_legends_say_what_bands_and_bars_are(all_alike):
         own = [axes.get_legend() for axes in figure.axes]
         legends = [legend for legend in (*own, *figure.legends) if legend is not None]
         assert legends
-        assert all("interquartile mean, 95 % interval" in legend.get_title().get_text() for legend in legends)
+        words = " ".join(legend.get_title().get_text() for legend in legends)
+        assert "Interquartile mean and range, n = 3 seeds" in words
+
+
+def seeds_of(number):
+    rows = [{"condition": c, "seed": s, "value": s * s} for c in "ab" for s in range(number)]
+    return pd.DataFrame(rows)
+
+
+@pytest.mark.parametrize(("number", "words"), [(1, "One seed"), (4, "range, n = 4"), (5, "95 % bootstrap")])
+def test_few_seeds_have_a_range_and_more_an_interval(number, words):
+    table = seeds_of(number)
+    values = table.value.to_numpy(float)[:number]
+    found = seeds.band_of(table, values)
+    assert words in seeds.how_it_spreads(table)
+    if number < seeds.ENOUGH:
+        assert (found.low, found.high) == (values.min(), values.max())
+    else:
+        assert values.min() <= found.low < found.value < found.high <= values.max()
+        assert found == statistics.interval(values)
+
+
+def test_a_condition_with_fewer_seeds_is_said():
+    table = seeds_of(7).iloc[:-1]
+    assert seeds.how_it_spreads(table).endswith("n = 6 to 7 seeds")
+
+
+@pytest.mark.parametrize("conditions", [2, 6])
+def test_bands_of_many_conditions_give_way_to_bars_that_are_apart(conditions):
+    rows = [
+        {"condition": f"c{c}", "seed": s, "iteration": i, "env_steps": i * BATCH, "goal_ratio": (i + s) / 40}
+        for c in range(conditions)
+        for s in range(3)
+        for i in range(1, 31)
+    ]
+    axes = Figure().subplots()
+    study_curves._curves(axes, pd.DataFrame(rows), "goal_ratio", "Goal ratio")
+    bands = [c for c in axes.collections if not isinstance(c, LineCollection)]
+    bars = [c for c in axes.collections if isinstance(c, LineCollection)]
+    if conditions == 2:
+        assert len(bands) == 2 and not bars
+    else:
+        assert not bands and len(bars) == 6
+        at = [segment[0, 0] for lines in bars for segment in lines.get_segments()]
+        assert len(at) == len(set(at)) >= 6 * 4, "no two bars at one place"
 
 
 @pytest.mark.parametrize(
@@ -201,7 +251,7 @@ def test_a_study_of_the_whole_family_is_legible(tmp_path):
     runs = study_report.by_run(tables)
     assert [name.partition(",")[0] for name in dict.fromkeys(runs.condition)] == [*FAMILY]
     curves = study_curves.goal_ratio(tables)
-    lines = curves.axes[1].get_lines()
+    lines = [line for line in curves.axes[1].get_lines() if not line.get_label().startswith("_")]
     assert len({(line.get_color(), line.get_marker()) for line in lines}) == len(lines) == len(FAMILY)
     for figure in (curves, study_curves.evaluation(tables.results), study_curves.exits(tables.metrics, runs)):
         figure.draw_without_rendering()

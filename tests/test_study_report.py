@@ -139,7 +139,7 @@ def test_batches_that_do_not_belong_to_the_tables_get_one_line(damage, words, tm
 def test_the_worst_tenth_of_an_evaluation_is_of_what_it_flew():
     reached = np.random.default_rng(0).random(20) < 0.7
     # 20 episodes for 200 configurations: the 20 that are flown have their worst two.
-    flights = EvalResult(np.arange(20) * 7, reached, 1.0 * reached, np.ones(20), {}, None)
+    flights = EvalResult(np.arange(20) * 7, reached, 1.0 * reached, np.ones(20), {})
     collected = Collected([{"seed": 4}])
     collected.rows("evaluation", [evaluation_row(1, 100, flights, EvalSet(np.zeros(200)))])
     (row,) = collected.table("evaluation")
@@ -204,7 +204,8 @@ def test_groups_of_a_held_out_part_are_reported_paired_and_drawn(tmp_path, monke
         study_figures, "save", lambda figure, path: figures.update({path.name: figure}) or [path]
     )
     study_figures.draw_study(tmp_path / "study")
-    assert "map" not in figures and [axes.get_title() for axes in figures["groups"].axes] == ["easy", "hard"]
+    titles = [axes.get_title("left") for axes in figures["groups"].axes]
+    assert "map" not in figures and titles == ["(a) easy", "(b) hard"]
     for axes, name in zip(figures["groups"].axes, ("easy", "hard"), strict=True):
         for line, sampler in zip(axes.lines, ("pec", "uniform"), strict=True):
             by_iteration = results[results.sampler == sampler].groupby("iteration")

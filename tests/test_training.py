@@ -96,7 +96,8 @@ def test_every_file_of_the_run_directory_is_there_with_its_columns(run, tables):
     there = {path.name for path in folder.iterdir()}
     folders = {"configurations", "episodes", "checkpoints", "states", "figures"}
     tables_and_summary = {"metrics.csv", "evaluation.csv", "summary.json"}
-    assert there == {"config.json", "scene.xml", "coordinates.csv"} | tables_and_summary | folders
+    given = {".lock", "config.json", "scene.xml", "coordinates.csv"}
+    assert there == given | tables_and_summary | folders
     head = ["iteration", "env_steps", "seconds", "goal_ratio", "episodes", "mean_return", "mean_length"]
     of_task = ["collision", "path_length", "timeout", "unstable"]
     learners = ["entropy", "kl", "kl_coeff", "policy_loss", "value_loss"]
@@ -124,7 +125,7 @@ def test_arrays_of_all_configurations_and_episodes(run):
         arrays = directory.arrays("episodes", iteration)
         flown = {"config_id", "success", "return", "length"} | of_task
         # Paths are of the last evaluation only.
-        assert set(arrays) == (flown | {"path_episode", "paths"} if iteration == 5 else flown)
+        assert set(arrays) == (flown | {"recorded", "poses", "actions"} if iteration == 5 else flown)
         assert all(arrays[name].shape == (6,) for name in flown)
         endings = arrays["success"].astype(int) + arrays["collision"] + arrays["timeout"]
         assert np.all(endings == 1)
@@ -277,7 +278,7 @@ def test_a_run_that_is_opened_flies_its_evaluation_and_other_worlds(run, tables)
     np.testing.assert_allclose(fly().returns.mean(), row.mean_return, rtol=1e-6)
     world = trained.run.world
     backwards = jax.tree.map(lambda leaf: leaf[::-1], world.table)
-    assert np.any(fly(world._replace(table=backwards)).paths[:, 0] != fly().paths[:, 0])
+    assert np.any(fly(world._replace(table=backwards)).poses[:, 0] != fly().poses[:, 0])
     # Greedy actions repeat themselves: one observation always leads to the same action.
     state = trained.run.task.reset(jax.random.key(1), jax.tree.map(lambda leaf: leaf[0], world.table), None)
     seen = trained.run.task.observe(jax.random.key(2), state, world.params)
@@ -306,7 +307,7 @@ def test_trajectories_are_the_first_flights_of_each_configuration(run, tables):
 
 def test_figures_are_drawn_and_show_something(run):
     paths = run_figures.draw_run(run[0])
-    assert {path.suffix for path in paths} == {".png", ".svg"}
+    assert {path.suffix for path in paths} == {".pdf", ".png"}
     assert len(paths) == len(set(paths)) >= 8
     for path in paths:
         assert path.parent == run[0] / "figures" and path.stat().st_size > 5000
@@ -314,8 +315,8 @@ def test_figures_are_drawn_and_show_something(run):
             pixels = imread(path)
             assert min(pixels.shape[:2]) > 300 and 0.01 < np.std(pixels) < 0.6
         else:
-            assert path.read_text().rstrip().endswith("</svg>")
-    before = {path: path.read_bytes() for path in paths if path.suffix == ".svg"}
+            assert path.read_bytes().rstrip().endswith(b"%%EOF")
+    before = {path: path.read_bytes() for path in paths if path.suffix == ".pdf"}
     run_figures.draw_run(run[0])
     assert all(path.read_bytes() == content for path, content in before.items())
 

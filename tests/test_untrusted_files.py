@@ -338,7 +338,7 @@ KEPT = {
     "configurations": {name: np.arange(3) for name in ("trials", "failures", "probability")},
     "episodes": {
         "config_id": np.arange(3), "success": np.ones(3, bool), "return": np.zeros(3),
-        "length": np.array([2, 0, 1]), "path_episode": np.arange(2), "paths": np.zeros((2, 3, 2)),
+        "length": np.array([2, 0, 1]), "recorded": np.arange(2), "poses": np.zeros((2, 3, 7)),
     },
 }  # fmt: skip
 
@@ -353,14 +353,14 @@ KEPT = {
         ("configurations", {"trials": np.array(["one", "two", "three"])}),
         ("configurations", {"failures": np.full(3, np.nan)}),
         ("episodes", {"length": None}),
-        ("episodes", {"paths": None}),
+        ("episodes", {"poses": None}),
         ("episodes", {"length": np.array([2, 5, 1])}),
         ("episodes", {"length": np.array([2, 10**18, 1])}),
-        ("episodes", {"path_episode": np.array([1, 7])}),
-        ("episodes", {"path_episode": np.array([0.5, 1])}),
-        ("episodes", {"path_episode": np.zeros(0, int), "paths": np.zeros((0, 3, 2))}),
-        ("episodes", {"paths": np.zeros((2, 3))}),
-        ("episodes", {"paths": np.zeros(())}),
+        ("episodes", {"recorded": np.array([1, 7])}),
+        ("episodes", {"recorded": np.array([0.5, 1])}),
+        ("episodes", {"recorded": np.zeros(0, int), "poses": np.zeros((0, 3, 7))}),
+        ("episodes", {"poses": np.zeros((2, 3))}),
+        ("episodes", {"poses": np.zeros(())}),
         ("episodes", {"success": np.array(["no", "no", "no"])}),
     ],
 )

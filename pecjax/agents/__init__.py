@@ -1,4 +1,4 @@
-"""Agents: who learns. They know tasks and samplers by their contracts only."""
+"""Agents: the learners. They know tasks and samplers by their contracts only."""
 
 from pecjax.agents.apex import Apex as Apex
 from pecjax.agents.base import Agent as Agent, AgentSettings as AgentSettings, TrainState as TrainState

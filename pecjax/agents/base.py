@@ -1,4 +1,4 @@
-"""The agent's contract: what it is, what a run is made of, and how a run names one."""
+"""The agent's contract: its functions, the state of a training, and how a run names one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Self = TypeVar("Self", bound="AgentSettings")
 
 
 class TrainState(NamedTuple):
-    """Everything a training is made of; saving it is saving the run.
+    """The whole state of a training; saving it saves the run.
 
     Attributes:
         learner: parameters and optimiser, the agent's own.
@@ -27,7 +27,7 @@ class TrainState(NamedTuple):
         counts: (2, N) int32, trials and failures of each configuration since the beginning.
         envs: the environments and what the agent keeps of each; the only part that is spread over
             devices, by its leading axis.
-        key: of all randomness to come.
+        key: for all randomness to come.
     """
 
     learner: Any
@@ -47,7 +47,7 @@ class Agent(NamedTuple):
         policy: (TrainState.learner, greedy=False) -> act, where act(obs, key) -> action for a
             single observation.
         steps_per_iteration: environment steps of one iteration, over all environments.
-        replay_bytes: that the replay takes, over all devices.
+        replay_bytes: size of the replay, over all devices.
     """
 
     init: Callable[..., TrainState]
@@ -59,7 +59,7 @@ class Agent(NamedTuple):
 
 @dataclass(frozen=True)
 class AgentSettings(abc.ABC):
-    """A kind of agent with its numbers: extend it by a frozen dataclass, and a run can name it.
+    """A kind of agent with its numbers. Extend it by a frozen dataclass to use it in a run.
 
     Attributes:
         num_envs, num_steps: B, and the steps T that each environment takes in an iteration.
@@ -76,7 +76,7 @@ class AgentSettings(abc.ABC):
             axis_name: the mesh axis it will be sharded over (see `sharding.shard`), None for one device.
 
         Raises:
-            InputError: settings that do not fit one another, or a task that it cannot learn.
+            InputError: the settings do not fit one another, or the agent cannot learn the task.
         """
 
     def check(self) -> None:

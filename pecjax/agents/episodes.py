@@ -1,4 +1,4 @@
-"""Episodes: what a running one has come to so far, and what is reported of it when it ends."""
+"""Episodes: sums over running episodes, and what is reported when they end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Metrics: what one iteration did, as few numbers that do not grow with anything."""
+"""Metrics: one iteration summarized in a fixed set of numbers."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from pecjax.agents.episodes import Episodes
 
 
 class Metrics(NamedTuple):
-    """What one iteration did; its figures are over the sampler's own distribution.
+    """Figures of one iteration, over the sampler's own distribution.
 
     Attributes:
         episodes: () int32, how many ended.
-        reported: (2,) int32, trials and failures that its goal ratio is of: all, or those of the
-            actors that explore least.
+        reported: (2,) int32, the trials and failures of its goal ratio: all, or those of the actors that
+            explore least.
         sums: by name, sums over the episodes that ended: `return`, `length` and the task's metrics.
         finite: by name, whether each of the losses, the parameters and the observations are finite.
         losses: the learner's own figures by name.

@@ -1,4 +1,4 @@
-"""Networks: features become the parameters of an action's distribution and a value."""
+"""Networks: from features to the parameters of an action's distribution and a value."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ class NetworkSettings:
 
 
 Initializer = Callable[..., jax.Array]
+CONVOLUTIONS = ((16, 4), (32, 2), (32, 2))  # channels, and the kernel's size, which is its stride too
 
 
 def normc(scale: float) -> Initializer:
@@ -116,7 +117,7 @@ class _Convolutions(nn.Module):
             pixels = int(np.prod(shape))
             x, features = features[..., :pixels], features[..., pixels:]
             x = x.reshape(*x.shape[:-1], *shape[:2], *(shape[2:] or (1,)))
-            for channels, kernel in ((16, 4), (32, 2), (32, 2)):
+            for channels, kernel in CONVOLUTIONS:
                 x = nn.relu(nn.Dense(channels)(patches(x, kernel)))
             parts.append(x.reshape(*x.shape[:-3], -1))
         return jnp.concatenate([*parts, features], axis=-1)

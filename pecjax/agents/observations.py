@@ -1,4 +1,4 @@
-"""Observations: trees of arrays brought into rows of features, and packed for a replay."""
+"""Observations: trees of arrays as rows of features, and packed for a replay."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ import numpy as np
 
 from pecjax.envs.spaces import Box
 
-_LEVELS = 255  # what a byte tells apart
+LEVELS = 255  # what a byte tells apart
 
 
 def boxes(space: Any) -> list[Box]:
     """The boxes of an observation space: images first, otherwise in the order of the tree."""
-    return [box for box, _ in _in_order(space)]
+    return [box for box, _ in in_order(space)]
 
 
-def _in_order(space: Any) -> list[tuple[Box, int]]:
+def in_order(space: Any) -> list[tuple[Box, int]]:
+    """The boxes as `boxes` has them, and the place of each among the leaves of the tree."""
     leaves = jax.tree.leaves(space)
     return sorted(((box, place) for place, box in enumerate(leaves)), key=lambda pair: not pair[0].is_image)
 
@@ -36,14 +37,14 @@ def num_values(space: Any) -> int:
 def encode(space: Any, obs: Any) -> jax.Array:
     """One row of features (…, F) per observation: its images pixel by pixel, then all else."""
     leaves = jax.tree.leaves(obs)
-    parts = [_flat(box, leaves[place]) for box, place in _in_order(space)]
+    parts = [_flat(box, leaves[place]) for box, place in in_order(space)]
     return jnp.concatenate([jnp.asarray(part, jnp.float32) for part in parts], axis=-1)
 
 
 def pack(space: Any, obs: Any) -> tuple[jax.Array, ...]:
     """An observation as it is kept: (…, n) each; images of finite bounds in 255 steps of a byte."""
     leaves = jax.tree.leaves(obs)
-    return tuple(_packed(box, _flat(box, leaves[place])) for box, place in _in_order(space))
+    return tuple(_packed(box, _flat(box, leaves[place])) for box, place in in_order(space))
 
 
 def unpack(space: Any, packed: tuple[jax.Array, ...]) -> jax.Array:
@@ -57,16 +58,17 @@ def _flat(box: Box, leaf: jax.Array) -> jax.Array:
     return leaf.reshape(*leading, box.size)
 
 
-def _is_byte(box: Box) -> bool:
+def is_byte(box: Box) -> bool:
+    """Whether it is kept in bytes."""
     return box.is_image and bool(np.isfinite([box.low, box.high]).all())
 
 
 def _packed(box: Box, part: jax.Array) -> jax.Array:
-    if not _is_byte(box):
+    if not is_byte(box):
         return jnp.asarray(part, jnp.float32)
     share = (part - box.low) / (box.high - box.low)
-    return jnp.round(share * _LEVELS).astype(jnp.uint8)
+    return jnp.round(share * LEVELS).astype(jnp.uint8)
 
 
 def _unpacked(box: Box, part: jax.Array) -> jax.Array:
-    return box.low + part.astype(jnp.float32) / _LEVELS * (box.high - box.low) if _is_byte(box) else part
+    return box.low + part.astype(jnp.float32) / LEVELS * (box.high - box.low) if is_byte(box) else part

@@ -1,7 +1,11 @@
-"""Returns: what an action turned out to be worth."""
+"""Returns: advantages and targets.
+
+Arrays of other shapes than are asked for might broadcast to a wrong result; they fail when traced.
+"""
 
 from __future__ import annotations
 
+import chex
 import jax
 import jax.numpy as jnp
 
@@ -45,6 +49,8 @@ def td_errors(
     rewards: jax.Array, values: jax.Array, dones: jax.Array, last_value: jax.Array, discount: float
 ) -> jax.Array:
     """δ_t = r_t + γ (1 − d_t) V_{t+1} − V_t, (T, B), as in `generalized_advantage`."""
+    chex.assert_equal_shape([rewards, values, dones])
+    chex.assert_shape(last_value, rewards.shape[1:])
     next_values = jnp.concatenate([values[1:], last_value[None]])
     return rewards + discount * (1 - dones) * next_values - values
 
@@ -66,6 +72,7 @@ def maximised_negative_advantage(
     Returns:
         (T, B), 0 or more.
     """
+    chex.assert_equal_shape([errors, dones])
     starts = jnp.arange(len(errors))[:, None]
 
     def step(carry: tuple[jax.Array, ...], row: tuple[jax.Array, ...]) -> tuple[tuple[jax.Array, ...], None]:
@@ -95,7 +102,10 @@ def with_bootstrap(rewards: jax.Array, bootstrap: jax.Array | None, discount: fl
     Args:
         bootstrap: of `rollout.Trajectory`; None leaves the rewards as they are.
     """
-    return rewards if bootstrap is None else rewards + discount * bootstrap
+    if bootstrap is None:
+        return rewards
+    chex.assert_equal_shape([rewards, bootstrap])
+    return rewards + discount * bootstrap
 
 
 def n_step_return(
@@ -114,6 +124,7 @@ def n_step_return(
     Returns:
         (T − n + 1, …) each. Oracle: `rlax.n_step_bootstrapped_returns`.
     """
+    chex.assert_equal_shape([rewards, dones])
     windows = rewards.shape[0] - num_steps + 1
     total, going_on = jnp.zeros_like(rewards[:windows]), jnp.ones_like(rewards[:windows])
     for k in range(num_steps):

@@ -1,4 +1,4 @@
-"""Rollout: where the loop closes: configurations are drawn, flown, scored and reported."""
+"""Rollout, where the loop closes: configurations are drawn, flown, scored and reported."""
 
 from __future__ import annotations
 

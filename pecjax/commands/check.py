@@ -25,7 +25,7 @@ class Check:
             what the maps mark, else 1)
         approximate: metres by which boxes may reach beyond the other shapes that they stand for. (default:
             other shapes are refused)
-        out: where the picture goes, as .png and .svg.
+        out: where the picture goes, as .pdf and .png.
     """
 
     scene: Strings = None

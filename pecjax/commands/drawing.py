@@ -45,7 +45,6 @@ def draw_plans(plans: Plans, per_family: int, out: Path) -> list[Path]:
 
 
 def _save(module: str, function: str, out: Path, *args: Any) -> list[Path]:
-    """Saves what a plotting function draws, as .png and as .svg, whichever of them `out` names."""
+    """Saves what a plotting function draws, as `style.save` does."""
     figure = getattr(importlib.import_module(f"pecjax.plotting.{module}"), function)(*args)
-    stem = out.with_suffix("") if out.suffix in (".png", ".svg") else out
-    return importlib.import_module("pecjax.plotting.style").save(figure, stem)
+    return importlib.import_module("pecjax.plotting.style").save(figure, out)

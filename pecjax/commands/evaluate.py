@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,27 +9,21 @@ from typing import Any
 
 import jax
 import numpy as np
-import tyro
 
 from pecjax.commands.drawing import draw_evaluation
-from pecjax.commands.options import Option, Strings
+from pecjax.commands.flown import Flown
+from pecjax.commands.options import Option
 from pecjax.envs.rooms.config import Configurations
-from pecjax.envs.rooms.settings import Rooms
-from pecjax.envs.rooms.spaces.elsewhere import evaluated_rooms
 from pecjax.envs.rooms.spaces.features import features
 from pecjax.envs.task import num_configs
-from pecjax.errors import InputError
 from pecjax.training.eval_report import Report, make_report
 from pecjax.training.evaluation import success_by_config
-from pecjax.training.load import Trained, open_run
-from pecjax.training.program import compile_evaluator
-from pecjax.training.settings import EvaluationSettings, check_settings
 
 MOST_LINES = 60  # of configurations
 
 
 @dataclass(frozen=True)
-class Eval:
+class Eval(Flown):
     """Evaluates a checkpoint on a uniform draw of configurations: the run's own, or others.
 
     A run that was trained in a space is evaluated in the part of it that was held out. The evaluations in
@@ -38,39 +31,21 @@ class Eval:
     chance, unless these are given here with --seed and --episodes.
 
     Attributes:
-        folder: the run's folder.
-        checkpoint: the iteration it was saved at. (default: the newest)
         episodes: how many, spread evenly over the configurations.
-        sampled: draws actions from the policy; else the most likely one is taken.
         seed: of headings and drawn actions.
-        space: a named space, or the file of one. (default: the run's own)
-        split: train or held-out, of a space. (default: held-out)
-        coordinates: the paper's set 1 or 2, or a file of configurations. (default: the run's own)
-        scene: maps as MJCF or text plans (.txt), files or folders. (default: the run's own)
         json: prints one JSON object.
-        out: where a figure of the report goes, as .png and .svg. (default: none is drawn)
+        out: where a figure of the report goes, as .pdf and .png. (default: none is drawn)
     """
 
-    folder: tyro.conf.Positional[Path]
-    checkpoint: Option[int] = None
     episodes: int = 50
-    sampled: bool = False
     seed: int = 1
-    space: Option[str] = None
-    split: Option[str] = None
-    coordinates: Option[str] = None
-    scene: Strings = None
     json: bool = False
     out: Option[Path] = None
 
     def run(self) -> None:
         """Runs the episodes and reports."""
-        trained = self._there(open_run(self.folder, self.checkpoint))
-        about = EvaluationSettings(episodes=self.episodes, seed=self.seed, greedy=not self.sampled)
-        settings = dataclasses.replace(trained.settings, evaluation=about)
-        check_settings(settings)
+        trained, result = self.fly(self.episodes, self.seed)
         run, where = trained.run, trained.run.eval_set
-        result = compile_evaluator(run, settings, trained.learner)(trained.learner, run.eval_world)
         ratios = success_by_config(result.config_id, result.success, num_configs(where.table))
         is_rooms = isinstance(where.table, Configurations)
         report = make_report(result, where, features(where.table, where.shortest) if is_rooms else {})
@@ -82,7 +57,7 @@ class Eval:
                 "mean_return": float(result.returns.mean()),
                 "episodes": self.episodes,
                 "per_configuration": [None if np.isnan(r) else float(r) for r in ratios],
-                "greedy": about.greedy,
+                "greedy": not self.sampled,
                 "seed": self.seed,
                 "checkpoint": trained.iteration,
                 "report": report,
@@ -92,20 +67,11 @@ class Eval:
         print(
             f"checkpoint {trained.iteration}: goal ratio {report['all']['goal_ratio']:.4f}, mean return "
             f"{report['all']['mean_return']:.1f} over {self.episodes} "
-            f"{'greedy' if about.greedy else 'sampled'} episodes of a uniform draw"
+            f"{'sampled' if self.sampled else 'greedy'} episodes of a uniform draw"
         )
         period = run.task.settings.control_period if is_rooms else None
         _print_report(report, period)
         _print_configurations(where.table, ratios)
-
-    def _there(self, trained: Trained) -> Trained:
-        """The policy in the configurations that are asked for."""
-        task, asked = trained.settings.task, (self.space, self.split, self.coordinates, self.scene)
-        if isinstance(task, Rooms):
-            return trained.elsewhere(*evaluated_rooms(task, trained.run.world, *asked))
-        if any(asked):
-            raise InputError("the run is of a task without spaces or maps; leave out what it is evaluated in")
-        return trained
 
 
 def _print_report(report: Report, period: float | None) -> None:

@@ -100,7 +100,7 @@ class Draw:
     Attributes:
         plans: the file.
         per_family: how many of each family.
-        out: where the picture goes, as .png and .svg.
+        out: where the picture goes, as .pdf and .png.
     """
 
     plans: tyro.conf.Positional[Path]

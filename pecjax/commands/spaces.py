@@ -28,7 +28,7 @@ class Spaces:
     Attributes:
         name: of a space, or the file of one. (default: all are listed)
         check: makes it anew and compares, and that nothing held out is trained in.
-        out: where a figure of it goes, as .png and .svg. (default: none is drawn)
+        out: where a figure of it goes, as .pdf and .png. (default: none is drawn)
     """
 
     name: tyro.conf.Positional[Option[str]] = None
@@ -53,7 +53,7 @@ class Spaces:
 
 
 def _check(space: Space) -> None:
-    """Makes sure that a space is what its recipe makes today; `read_space` has seen to the rest."""
+    """Makes sure that a space is what its recipe makes today; `read_space` has checked the rest."""
     again = make_space(space.name)
     if again.version != space.version:
         raise InputError(

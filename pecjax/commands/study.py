@@ -143,7 +143,7 @@ class Study:
         return tuple((grid | dict(further)).items())
 
     def _base(self) -> StudySettings:
-        """The study to begin from."""
+        """The study to start from."""
         preset = None if self.preset is None else find_preset(self.preset)
         if self.name is None:
             if self.scale is not None:

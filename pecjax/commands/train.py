@@ -17,6 +17,7 @@ from pecjax.training.kinds import kind_name
 from pecjax.training.presets import find_preset
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.settings import override
+from pecjax.training.sinks import Sink, TensorBoard, WandB
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Train:
     """Trains a drone and writes a run folder with its figures.
 
     Attributes:
-        preset: where the settings begin from: fast, rllib085 (the paper's own) or image (64×48) for
+        preset: the settings to start from: fast, rllib085 (the paper's own) or image (64×48) for
             ppo, apex-fast or apex-rllib085 for apex. (default: fast or apex-fast)
         agent: the learner: ppo, apex, or one of your own as my.module:Class. (default: the preset's)
         task: what is learned: rooms, or one of your own as my.module:Class. (default: rooms)
@@ -44,11 +45,13 @@ class Train:
         devices: how many share them. (default: all that divide them evenly)
         out: the run's folder. (default: a new one under runs/)
         sampled_evaluation: evaluates with drawn actions instead of the most likely ones.
+        tensorboard: writes for TensorBoard too, in tensorboard/ in the run's folder: docs/tracking.md.
+        wandb: logs to this project of Weights & Biases too: docs/tracking.md.
         resume: resumes the run in --out where it was stopped, or with more --iterations.
         coordinator: where several processes share the training, given to all of them alike: HOST:PORT of
             the first, or auto under SLURM or Open MPI. (default: this process is alone)
-        num_processes: how many there are; auto knows.
-        process_id: which of them this is, from 0; auto knows.
+        num_processes: how many there are. (not needed with --coordinator auto)
+        process_id: the number of this process, from 0. (not needed with --coordinator auto)
         settings: options by their dotted paths (see `settings_args`).
     """
 
@@ -67,6 +70,8 @@ class Train:
     devices: Option[int] = None
     out: Option[Path] = None
     sampled_evaluation: bool = False
+    tensorboard: bool = False
+    wandb: Option[str] = None
     resume: bool = False
     coordinator: Option[str] = None
     num_processes: Option[int] = None
@@ -103,7 +108,7 @@ class Train:
         name = kind_name(settings.sampler).rpartition(":")[2].lower()
         folder = self.out or Path("runs") / time.strftime(f"{name}-%Y%m%d-%H%M%S")
         go = training.resume if self.resume else training.train
-        summary = go(settings, folder, self.devices)
+        summary = go(settings, folder, self.devices, self._trackers())
         if not processes.is_primary():
             return
         draw(folder)
@@ -114,6 +119,10 @@ class Train:
             f"{summary['env_steps']:,} steps in {summary['seconds']:.0f} s "
             f"(and {summary['compile_seconds']:.0f} s of compilation)"
         )
+
+    def _trackers(self) -> list[Sink]:
+        trackers: list[Sink] = [TensorBoard()] if self.tensorboard else []
+        return trackers if self.wandb is None else [*trackers, WandB(self.wandb)]
 
     def _join(self) -> None:
         if self.coordinator is None:

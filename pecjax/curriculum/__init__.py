@@ -1,4 +1,4 @@
-"""The curriculum: which configuration comes next. Arrays only, no simulator."""
+"""The curriculum: chooses the configuration of the next episode. Arrays only, no simulator."""
 
 from pecjax.curriculum.base import (
     Outcomes as Outcomes,

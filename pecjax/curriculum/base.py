@@ -1,4 +1,4 @@
-"""The sampler's contract: what it is, what it is told, and how a run names one."""
+"""The sampler's contract: its functions, the outcomes it learns from, and how a run names one."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from pecjax.errors import InputError
 
 
 class Outcomes(NamedTuple):
-    """What became of some environments, in arrays that broadcast against one another.
+    """The outcomes of some episodes, in arrays that broadcast against one another.
 
-    Lists and scalars will do, and ids (B,) serve flags (T, B).
+    Lists and scalars are accepted, and ids (B,) can go with flags (T, B).
 
     Attributes:
         config_id: int, the configuration that the running episode was reset with.
-        done: bool or 0/1, whether the episode ended here; the others do not count.
+        done: bool or 0/1, whether the episode ended here. Others do not count.
         failed: bool or 0/1, whether it ended in failure.
         length: int, its number of actions.
         episode_return: the sum of its rewards.
-        signal: the learner's own score of it, where it has one.
+        signal: the learner's own score of the episode, if it has one.
     """
 
     config_id: Any
@@ -40,8 +40,8 @@ class Sampler(NamedTuple):
     """A way to choose configurations: four pure functions over a state that is a pytree.
 
     Attributes:
-        init: (**numbers) -> state. Numbers that the sampler has are in its state, where a study
-            may vary them under `vmap`; given here by name, they take the place of its own.
+        init: `(**numbers) -> state`. The sampler's numbers are part of its state, so a study can vary
+            them under `vmap`. A number that is given by name replaces the sampler's own.
         probabilities: (state) -> (N,), sums to 1.
         sample: (state, key, shape=()) -> int32 configuration numbers of that shape, a tuple or an
             int. It only reads the state.
@@ -57,9 +57,9 @@ class Sampler(NamedTuple):
 
 @dataclass(frozen=True)
 class SamplerSettings(abc.ABC):
-    """A kind of sampler with its numbers: extend it by a frozen dataclass, and a run can name it.
+    """A kind of sampler with its numbers. Extend it by a frozen dataclass to use it in a run.
 
-    `pec.PEC` is one; `examples/own_sampler.py` shows one in a file of its own.
+    `PEC` is an example; `examples/own_sampler.py` has one in a file of its own.
     """
 
     @abc.abstractmethod
@@ -76,12 +76,12 @@ def count_outcomes(outcomes: Outcomes, num_configs: int, axis_name: str | None =
 
     A trial counts when its episode ends; duplicates add up.
 
-    What is traced (inside `jax.jit` and the like) has no values to check: there, an id outside
-    [0, N) is dropped, and any `done` or `failed` other than 0 counts as true.
+    Traced arrays (inside `jax.jit` and the like) have no values to check. There, an id outside [0, N) is
+    dropped, and any `done` or `failed` other than 0 counts as true.
 
     Raises:
-        InputError: arrays that do not broadcast, ids that are no integers, or, among what is done
-            and has values to look at, an id outside [0, N), or a `failed` other than 0 and 1.
+        InputError: the arrays do not broadcast, or ids are not integers. Where an episode is done and the
+            values are known: an id is outside [0, N), or a `failed` is neither 0 nor 1.
     """
     config_id, done, failed = (jnp.ravel(jnp.asarray(part)) for part in check_outcomes(outcomes, num_configs))
     done = done.astype(bool)
@@ -99,12 +99,12 @@ def by_config(
     reduction: Literal["sum", "max"] = "sum",
     axis_name: str | None = None,
 ) -> jax.Array:
-    """A further field of the outcomes, (N,) float32: reduced over each configuration's episodes that ended.
+    """Reduces one more field of the outcomes over each configuration's ended episodes, (N,) float32.
 
-    Where none ended the sum is 0 and the maximum -inf.
+    Where none ended, the sum is 0 and the maximum is -inf.
 
     Raises:
-        InputError: the outcomes lack it, or it does not broadcast against their `done`.
+        InputError: the outcomes lack the field, or it does not broadcast against `done`.
     """
     values = getattr(outcomes, name)
     if values is None:
@@ -161,7 +161,7 @@ def _has_values(part: Any) -> bool:
 
 
 def _check_values(config_id: Any, done: Any, failed: Any, num_configs: int) -> None:
-    """Raises InputError for ids and flags that cannot be meant, as far as they can be looked at."""
+    """Raises InputError for impossible ids and flags, as far as their values are known."""
     if not np.issubdtype(config_id.dtype, np.integer):
         raise InputError(
             f"outcomes: config_id is of type {config_id.dtype}; give integers from 0 to {num_configs - 1}"

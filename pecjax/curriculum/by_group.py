@@ -1,4 +1,4 @@
-"""Groups: configurations that are alike share what a sampler learns of them."""
+"""Groups: similar configurations share what a sampler learns about them."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from pecjax.errors import InputError
 
 
 def by_group(sampler: Sampler, groups: Any) -> Sampler:
-    """Draws a group as the sampler does, and evenly one of its configurations.
+    """Draws a group with the sampler, and then one of its configurations evenly.
 
         P_n = P'_g / |g|,   g the group of n
 
-    So a million configurations learn from their neighbours. Its numbers and its state are the sampler's.
+    So a million configurations can learn from their neighbours. Numbers and state are those of the sampler.
 
     Example:
         groups = bins([table.wind[:, 0], table.payload], 4)
@@ -27,10 +27,10 @@ def by_group(sampler: Sampler, groups: Any) -> Sampler:
 
     Args:
         sampler: over G groups.
-        groups: (N,) int from 0 to G - 1, each there at least once.
+        groups: (N,) int from 0 to G - 1, each at least once.
 
     Raises:
-        InputError: groups that are not so.
+        InputError: the groups are not of this form.
     """
     groups = np.asarray(groups)
     if groups.ndim != 1 or not groups.size or not np.issubdtype(groups.dtype, np.integer):
@@ -73,13 +73,14 @@ def bins(columns: Sequence[Any], number: int) -> np.ndarray:
 
     Args:
         columns: of the table, (N,) each.
-        number: of bins of a column, about as many configurations in each; equal values stay together.
+        number: of bins of a column, with about equally many configurations in each; equal values stay
+            together.
 
     Returns:
-        int from 0 on; only combinations that occur are groups.
+        Integers from 0; only combinations that occur are groups.
 
     Raises:
-        InputError: no columns, columns of several lengths, or no bins.
+        InputError: there are no columns or no bins, or the columns differ in length.
     """
     arrays = [np.asarray(column) for column in columns]
     if not arrays:

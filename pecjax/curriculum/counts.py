@@ -1,4 +1,4 @@
-"""Samplers that know the counts of trials and failures, and nothing else."""
+"""Samplers that use only the counts of trials and failures."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Priority = Callable[[jax.Array, jax.Array, Numbers], jax.Array]
 
 
 def from_counts(num_configs: int, numbers: Mapping[str, Any], priority: Priority) -> Sampler:
-    """Draws each configuration in proportion to a priority that follows from its counts.
+    """Draws each configuration in proportion to a priority computed from its counts.
 
-    Its statistics are (2, N) int32: trials and failures over the whole training. Where every priority is 0
-    it draws uniformly.
+    The statistics are (2, N) int32: trials and failures over the whole training. Where every priority is 0,
+    draws are uniform.
 
     Args:
         num_configs: N, at least 1.
-        numbers: what `priority` is tuned by: scalars (several by `vmap`).
+        numbers: the scalars that tune `priority` (several by `vmap`).
 
     Raises:
         InputError: fewer than one configuration.

@@ -1,4 +1,4 @@
-"""Diagnostics: what a sampler's probabilities look like, in a few numbers."""
+"""Diagnostics: a sampler's probabilities summarized in a few numbers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 
 def diagnose(probabilities: jax.Array, counts: jax.Array) -> dict[str, jax.Array]:
-    """How a sampler spreads its draws.
+    """Summarizes how a sampler spreads its draws.
 
     Args:
         probabilities: (N,), they sum to 1.

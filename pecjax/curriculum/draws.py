@@ -1,4 +1,4 @@
-"""Draws in proportion to given probabilities, exact for a million configurations too."""
+"""Draws in proportion to given probabilities, exact even for a million configurations."""
 
 from __future__ import annotations
 

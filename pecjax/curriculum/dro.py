@@ -1,4 +1,4 @@
-"""DRO: probabilities that climb towards what scores highest, and are kept from going all the way."""
+"""DRO: probabilities that climb towards the highest scores, held back by their entropy."""
 
 from __future__ import annotations
 
@@ -53,10 +53,11 @@ def dro(num_configs: int, step: Any = 0.05, entropy: Any = 0.05, half_life: Any 
 
         y <- project(y + step / N * ∇_y (y · e - entropy * Σ y log(N y)))
 
-    with moving averages e of failures, onto the simplex whose every part is at least 0.01 / N. So the
-    distribution is one that makes the learner's failures worst (distributionally robust optimization;
-    Sagawa et al. 2020 climb by exponents, NCC, Monette et al. 2025, by this rule). Steps are in uniform
-    shares and the entropy is that beside the uniform distribution, so that neither depends on N.
+    The e are moving averages of failures, and `project` goes to the simplex whose every part is at least
+    0.01 / N. So the distribution moves towards the one under which the learner fails most (distributionally
+    robust optimization). Sagawa et al. 2020 climb by exponents, NCC (Monette et al. 2025) by this rule.
+    Steps are in uniform shares, and the entropy is relative to the uniform distribution, so neither depends
+    on N.
 
     Raises:
         InputError: fewer than one configuration, or a number out of its range.

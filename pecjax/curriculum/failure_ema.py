@@ -20,7 +20,7 @@ class FailureEMA(SamplerSettings):
 
     Attributes:
         half_life: trials of a configuration that halve the weight of its past.
-        power: of the average; the larger, the more the hardest are preferred.
+        power: exponent of the average; the larger, the more the hardest are preferred.
     """
 
     half_life: float = 10.0
@@ -36,8 +36,8 @@ def failure_ema(num_configs: int, half_life: Any = 10.0, power: Any = 2.0) -> Sa
 
         e_n <- γ e_n + (1 - γ) failed   at each trial, from e_n = 1;   w_n = e_n ^ power
 
-    with γ = 2^(-1 / half-life). BeyondMimic (Liao et al. 2025) keeps such an average of failure counts;
-    of ratios it does not feed on itself.
+    Here γ = 2^(-1 / half-life). BeyondMimic (Liao et al. 2025) averages failure counts, which feeds on
+    itself; an average of ratios does not.
 
     Raises:
         InputError: fewer than one configuration, or a number out of its range.

@@ -40,11 +40,11 @@ class FloorState(NamedTuple):
 
 
 def floor(sampler: Sampler, epsilon: Any = 0.1) -> Sampler:
-    """Draws uniformly with chance ε, and by the sampler otherwise: no probability is below ε / N.
+    """Draws uniformly with chance ε, and by the sampler otherwise; no probability is below ε / N.
 
         P_n = (1 - ε) P'_n + ε / N
 
-    Its numbers are ε and, as `sampler.NAME`, those of the sampler.
+    Its numbers are `epsilon` and, as `sampler.NAME`, those of the sampler.
 
     Raises:
         InputError: ε is not from 0 to 1.

@@ -1,4 +1,4 @@
-"""Forgetting: PEC whose counts fade, so that what a configuration is like now decides."""
+"""Forgetting: PEC with counts that fade, so recent trials decide."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def forgetting(num_configs: int, alpha: Any = 0.2, half_life: Any = 20.0) -> Sam
 
         w_n = f_n / (s_n + f_n) + α   if it was ever tried, else 1
 
-    with successes s and failures f that fade as `memory.remember` has them. With a half-life of infinity
-    it is PEC.
+    The successes s and failures f fade: each later trial of the configuration makes earlier ones count
+    less. With a half-life of infinity it is PEC.
 
     Raises:
         InputError: fewer than one configuration, or a number out of its range.

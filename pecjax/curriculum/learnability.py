@@ -1,4 +1,4 @@
-"""Learnability: what neither always fails nor always succeeds, by a posterior of its success."""
+"""Learnability: prefers what neither always fails nor always succeeds, by a posterior of its success."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def learnability(num_configs: int, half_life: Any = 3.0) -> Sampler:
 
         w_n = E[p (1 - p)] = a b / ((a + b) (a + b + 1)),   p ~ Beta(a, b) = Beta(s_n + 1, f_n + 1)
 
-    with successes s and failures f that fade. The score is that of SFL (Rutherford et al. 2024) and of
-    Tzannetos et al. (2023); the posterior stands in for flights that do nothing but score.
+    The successes s and failures f fade. The score is that of SFL (Rutherford et al. 2024) and of Tzannetos
+    et al. (2023); the posterior replaces flights that are only for scoring.
 
     Raises:
         InputError: fewer than one configuration, or a half-life that is not above 0.

@@ -1,4 +1,4 @@
-"""Learning progress: where success changes."""
+"""Learning progress: prefers configurations whose success changes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ THETA = 0.1  # how much changes of rare successes are magnified
 
 @dataclass(frozen=True)
 class LearningProgress(SamplerSettings):
-    """Draws each configuration by how much its success has changed of late (see `learning_progress`).
+    """Draws each configuration by how much its success has changed lately (see `learning_progress`).
 
     Attributes:
         fast, slow: half-lives of the averages in trials of a configuration.
@@ -34,14 +34,15 @@ class LearningProgress(SamplerSettings):
 
 
 def learning_progress(num_configs: int, fast: Any = 5.0, slow: Any = 25.0) -> Sampler:
-    """Draws each configuration by how much its success has changed of late, up or down.
+    """Draws each configuration by how much its success has changed lately, up or down.
 
         l_n = |r(p_fast) - r(p_slow)|,   r(p) = p (1 - θ) / (p + θ (1 - 2 p)),   θ = 0.1
         w_n = sigmoid((l_n - mean l) / std l)   if it was ever tried, else 1
 
-    with two moving averages of success that begin with the first trials' ratio; mean and standard deviation
-    are over what was tried (Kanitscheider et al. 2021, "Multi-task curriculum learning in a complex, visual,
-    hard-exploration domain"; the sigmoid as in Syllabus, Sullivan et al. 2024). No weight is ever 0.
+    Here p_fast and p_slow are two moving averages of success that begin with the first trials' ratio. Mean
+    and standard deviation are over what was tried (Kanitscheider et al. 2021, "Multi-task curriculum
+    learning in a complex, visual, hard-exploration domain"; the sigmoid as in Syllabus, Sullivan et al.
+    2024). No weight is ever 0.
 
     Raises:
         InputError: fewer than one configuration, or a half-life that is not above 0.

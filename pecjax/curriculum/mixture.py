@@ -54,7 +54,7 @@ def mixture(samplers: dict[str, Sampler], share: Any = 0.5) -> Sampler:
         samplers: two, by name.
 
     Raises:
-        InputError: there are not two over as many configurations, or the share is not from 0 to 1.
+        InputError: there are not two samplers of the same size, or the share is not from 0 to 1.
     """
     if len(samplers) != 2:
         raise InputError(f"mixture: {len(samplers)} samplers; give two by name, and a mixture as one of them")

@@ -1,4 +1,4 @@
-"""A sampler's numbers: what they may be, and how its state keeps them."""
+"""A sampler's numbers: their ranges, and how its state keeps them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pass at n: what may succeed within n tries and fails in the first."""
+"""Pass at n: prefers what may succeed within n tries but fails in the first."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class PassAtN(SamplerSettings):
     """Draws in proportion to u_n of the estimated chance of success (see `pass_at_n`).
 
     Attributes:
-        tries: n from 1 on: 2 is p (1 - p); the larger, the nearer to the failure ratio.
+        tries: n, at least 1; 2 gives p (1 - p), and larger values approach the failure ratio.
         half_life: trials of a configuration that halve the weight of an earlier one.
     """
 
@@ -36,8 +36,8 @@ def pass_at_n(num_configs: int, tries: Any = 8.0, half_life: Any = 10.0) -> Samp
 
         w_n = 1 - (1 - p)^tries - p,   p = (s_n + 1/2) / (s_n + f_n + 1)
 
-    with successes s and failures f that fade. One exponent leads from learnability to PEC's failure ratio,
-    and what never succeeds loses its weight (u_N of linjiw/curriculum-maxrl).
+    The successes s and failures f fade. One exponent leads from learnability to PEC's failure ratio, and
+    what never succeeds loses its weight (u_N of linjiw/curriculum-maxrl).
 
     Raises:
         InputError: fewer than one configuration, or a number out of its range.

@@ -35,7 +35,7 @@ def pec(num_configs: int, alpha: float | jax.Array = 0.2) -> Sampler:
         p_n = f_n / t_n + α   if t_n > 0, else 1        (Eq. 1)
         P_n = p_n / Σ p                                 (Eq. 2)
 
-    Where every priority is 0 (α = 0 and nothing fails any more) it draws uniformly.
+    Where every priority is 0 (α = 0 and nothing fails any more), draws are uniform.
 
     Example:
         sampler = pec(num_configs=20, alpha=0.2)

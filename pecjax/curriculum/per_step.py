@@ -1,4 +1,4 @@
-"""Shares of steps: a sampler's probabilities hold for time, not for episodes."""
+"""Shares of steps: a sampler's probabilities as shares of time instead of episodes."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from pecjax.curriculum.statistics import ids_in_batch, learn_alone
 
 @dataclass(frozen=True)
 class PerStep(SamplerSettings):
-    """Gives each configuration a share of the steps in place of one of the episodes (see `per_step`).
+    """Gives each configuration a share of the steps instead of the episodes (see `per_step`).
 
     Attributes:
-        sampler: whose shares they are.
+        sampler: the sampler that gives the shares.
     """
 
     sampler: SamplerSettings = field(default_factory=PEC)
@@ -44,12 +44,12 @@ def per_step(sampler: Sampler) -> Sampler:
 
         P_n = P'_n / L_n / Σ (P' / L)
 
-    with the mean length L of its episodes since the beginning, or of all episodes where it has none. Long
-    episodes of what fails take more of a training than their number says; so they do not. Its numbers are
-    those of the sampler, as `sampler.NAME`.
+    L_n is the mean length of the configuration's episodes since the beginning, or of all episodes where it
+    has none. Otherwise, long episodes of failures would take a larger part of a training than their number
+    says. Its numbers are those of the sampler, as `sampler.NAME`.
 
     Raises:
-        InputError: at an update, outcomes without lengths.
+        InputError: raised by an update whose outcomes have no lengths.
     """
     num_configs = num_configs_of(sampler)
 

@@ -1,4 +1,4 @@
-"""PLR: prioritized level replay, by a score of each episode that the learner gives."""
+"""PLR: prioritized level replay, by the learner's score of each episode."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ UNSEEN = -1  # in place of the batch that it was last seen in
 
 @dataclass(frozen=True)
 class PLR(SamplerSettings):
-    """Replays configurations by the learner's score of them, and by how long ago they were seen (see `plr`).
+    """Replays configurations by the learner's score, and by how long ago they were seen (see `plr`).
 
     Attributes:
-        replay: chance to replay one that was seen, while there are unseen ones.
-        staleness: share of the replays that go by age.
-        temperature: of the scores; the larger, the nearer to uniform.
+        replay: the chance to replay a seen configuration, while there are unseen ones.
+        staleness: the share of the replays that are drawn by age.
+        temperature: the temperature of the scores; the larger, the nearer to uniform.
         rank: whether scores count by rank, else in proportion.
         score: the learner's signal itself; or `max_mc`, the regret beside the best return so far, for which
             the signal is to be the mean value (`--agent.signal value`); or `solved_signal`, the signal where

@@ -1,4 +1,4 @@
-"""SFL: sampling for learnability, whose flights that score are trained on."""
+"""SFL: sampling for learnability; the scoring flights are trained on too."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class SFL(SamplerSettings):
         scoring: episodes that score, for each configuration.
         between: episodes until the next scoring, for each configuration.
         best: share of the table that counts as most learnable.
-        mass: share of the draws that come from these until then; the others are from anywhere.
+        mass: share of the draws that come from these until then; the others come from the whole table.
     """
 
     scoring: float = 4.0

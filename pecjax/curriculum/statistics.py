@@ -1,4 +1,4 @@
-"""Samplers that follow from statistics of each configuration, learned from trials and failures."""
+"""Samplers that use statistics of each configuration, learned from trials and failures."""
 
 from __future__ import annotations
 
@@ -42,21 +42,21 @@ def from_statistics(
     hear: Hear = count_outcomes,
     each_alone: bool = False,
 ) -> Sampler:
-    """Draws each configuration in proportion to a weight that follows from its statistics.
+    """Draws each configuration in proportion to a weight computed from its statistics.
 
-    Where every weight is 0 it draws uniformly.
+    Where every weight is 0, draws are uniform.
 
     Args:
         num_configs: N, at least 1.
-        numbers: what it is tuned by: scalars (several by `vmap`).
-        begin: () -> statistics of configurations that nobody has tried.
-        learn: (statistics, what it heard, numbers) -> statistics.
+        numbers: the scalars that tune it (several by `vmap`).
+        begin: () -> statistics of configurations that were never tried.
+        learn: (statistics, result of `hear`, numbers) -> statistics.
         weight: (statistics, numbers) -> (N,) 0 or more.
-        hear: (outcomes, N, axis name) -> what it learns from; trials and failures (2, N) int32, unless it is
-            another function.
+        hear: (outcomes, N, axis name) -> the argument of `learn`. By default it is trials and failures,
+            (2, N) int32.
         each_alone: whether `learn` treats each configuration by itself, with arrays whose last axis is the
-            configurations, and leaves what has no outcome as it is. It is then worked out for those of the
-            batch only (`learn_alone`), which is most of the work saved where there are many others.
+            configurations, and leaves those without an outcome unchanged. It is then computed for the
+            configurations of the batch only (`learn_alone`), which saves most of the work in a large table.
 
     Raises:
         InputError: fewer than one configuration.

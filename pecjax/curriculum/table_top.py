@@ -1,4 +1,4 @@
-"""Table top: most draws from the best few of the table, the rest from anywhere."""
+"""Table top: most draws from the best few of the table, the rest from all of it."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class TableTop(SamplerSettings):
     """Draws evenly from the best of the table by u_n, and sometimes from all (see `table_top`).
 
     Attributes:
-        tries: n of u_n, from 1 on.
+        tries: n of u_n, at least 1.
         half_life: trials of a configuration that halve the weight of an earlier one.
         best: share of the table that counts as its top.
-        mass: share of the draws that come from the top; the others are from anywhere.
+        mass: share of the draws that come from the top; the others come from the whole table.
     """
 
     tries: float = 8.0
@@ -43,9 +43,9 @@ def table_top(
 
         P_n = mass * top_n / (best * N) + (1 - mass) / N
 
-    where top_n is 1 for the best * N configurations by u_n (see `pass_at_n`), 0 for the others, and the
-    same fraction for all at the threshold (`ranking.best_share`). The buffer of SFL (Rutherford et al. 2024)
-    without flights that only score.
+    Here top_n is 1 for the best * N configurations by u_n (see `pass_at_n`), 0 for the others, and the same
+    fraction for all at the threshold (`ranking.best_share`). This is the buffer of SFL (Rutherford et al.
+    2024) without flights that are only for scoring.
 
     Raises:
         InputError: fewer than one configuration, or a number out of its range.

@@ -68,10 +68,10 @@ def thompson(num_configs: int, half_life: Any = 10.0) -> Sampler:
 
         w_n = p_n (1 - p_n),   p_n ~ Beta(s_n + 1, f_n + 1)
 
-    drawn anew after each batch that has an outcome, with successes s and failures f that fade: what is
-    little known is looked at sooner or later (as MoPPS has it, Qu et al. 2025). The draws are nearly those
-    of the posterior (`posterior.beta_draws`). Of a table of more than `AT_ONCE` configurations, so many are
-    drawn anew after each batch, in turn.
+    The p are drawn again after each batch that has an outcome, and successes s and failures f fade. So what
+    is little known is tried sooner or later (as in MoPPS, Qu et al. 2025). The draws are nearly those of
+    the posterior (`posterior.beta_draws`). In a table of more than `AT_ONCE` configurations, that many are
+    drawn again after each batch, in turn.
 
     Raises:
         InputError: fewer than one configuration, or a half-life that is not above 0.

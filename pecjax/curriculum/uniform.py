@@ -23,8 +23,8 @@ class Uniform(SamplerSettings):
 def uniform(num_configs: int) -> Sampler:
     """Draws every configuration with probability 1 / N.
 
-    It counts trials and failures too: the failure ratios of a baseline, to compare another
-    sampler's with. It draws as PEC does: with one key, both begin a training alike.
+    It also counts trials and failures, so that its failure ratios can be compared with those of other
+    samplers. It draws as PEC does: with one key, both begin a training alike.
 
     Raises:
         InputError: fewer than one configuration.

@@ -110,8 +110,8 @@ class Task(abc.ABC):
         """
         return table
 
-    def position(self, state: Any) -> jax.Array | None:
-        """Where it is in the plane, (2,) m, where flights can be drawn on a map; else None."""
+    def pose(self, state: Any) -> jax.Array | None:
+        """Position m and attitude quaternion w-x-y-z, (7,), where there is a map to draw it on; else None."""
         return None
 
 

@@ -14,13 +14,15 @@ from pecjax.envs.rooms.geodesics import shortest_ways
 from pecjax.envs.rooms.plans.export import kinds_of_boxes
 from pecjax.envs.rooms.plans.measures import plan_paths
 from pecjax.envs.rooms.plans.plans import FLIGHT_HEIGHT, RADIUS, Plans
-from pecjax.plotting.style import GOAL, PATH
+from pecjax.plotting.style import GOAL, PAGE, PATH, SMALL, legend_below, styled
 
+_CELL = (1.4, 2.2)  # inches: less has no room for its title
 _WALL: dict[str, Any] = {"facecolor": "0.25", "linewidth": 0, "zorder": 2}
 _IN_THE_WAY: dict[str, Any] = {"facecolor": "0.55", "edgecolor": "0.25", "linewidth": 0.4, "zorder": 1.8}
 _PASSED: dict[str, Any] = {"facecolor": "0.92", "edgecolor": "0.75", "linewidth": 0.4, "zorder": 1}
 
 
+@styled
 def contact_sheet(plans: Plans, per_family: int = 4) -> Figure:
     """The first few plans of each family, a row a family, all to one scale.
 
@@ -30,18 +32,18 @@ def contact_sheet(plans: Plans, per_family: int = 4) -> Figure:
     rows = [np.flatnonzero(plans.family == family)[:per_family] for family in range(len(plans.names))]
     shown = [(plans.names[family], chosen) for family, chosen in enumerate(rows) if len(chosen)]
     columns = max(len(chosen) for _, chosen in shown)
-    figure = Figure((2.2 * columns + 0.4, 2.42 * len(shown) + 0.5), layout="constrained")
+    cell = float(np.clip((PAGE - 0.3) / columns, *_CELL))
+    figure = Figure((cell * columns + 0.3, (cell + 0.15) * len(shown)), layout="constrained")
     cells = figure.subplots(len(shown), columns, squeeze=False)
     extent = (plans.bounds[:, 1] - plans.bounds[:, 0])[np.concatenate(rows)].max()
     for line, (name, chosen) in zip(cells, shown, strict=True):
         for axes in line:
             axes.set_axis_off()
-        line[0].text(
-            -0.03, 0.5, name, rotation=90, ha="right", va="center", fontsize=10, transform=line[0].transAxes
-        )
+        upright = {"rotation": 90, "ha": "right", "va": "center", "transform": line[0].transAxes}
+        line[0].text(-0.03, 0.5, name.capitalize(), **upright)
         for axes, number in zip(line, chosen, strict=False):
             _plan(axes, plans, int(number), float(extent))
-    figure.legend(handles=_legend(), loc="outside lower center", ncols=3, fontsize=8, columnspacing=1.5)
+    legend_below(figure, _legend())
     return figure
 
 
@@ -57,14 +59,14 @@ def _plan(axes: Axes, plans: Plans, number: int, extent: float) -> None:
     start, goal = (np.asarray(ends[number], np.float64) for ends in (plans.start, plans.goal))
     (way,) = shortest_ways(plan_paths(lower, upper, plans.bounds[number]), start[None], goal[None])
     axes.plot(*way.points.T, color=PATH, linewidth=1.2, zorder=3)
-    axes.plot(*start, "o", color=GOAL, markersize=4.5, zorder=4)
+    axes.plot(*start, "o", color=GOAL, markersize=3, zorder=4)
     axes.plot(
         *goal,
         "o",
         markerfacecolor="white",
         markeredgecolor=GOAL,
-        markeredgewidth=1.3,
-        markersize=5.5,
+        markeredgewidth=1,
+        markersize=4,
         zorder=4,
     )
     middle, half = plans.bounds[number].mean(axis=0), extent / 2
@@ -72,16 +74,17 @@ def _plan(axes: Axes, plans: Plans, number: int, extent: float) -> None:
     axes.set_aspect("equal")
     doors = int(plans.doors[number])
     through = f", {doors} door{'s' * (doors > 1)}" * (doors > 0)
-    axes.set_title(f"{number}: {plans.geodesic[number]:.1f} m{through}", fontsize=8, pad=2)
+    words = f"{number}: {plans.geodesic[number]:.1f} m{through}"
+    axes.set_title(words, loc="center", fontsize=SMALL, pad=2)
 
 
 def _legend() -> list[Any]:
     dot: dict[str, Any] = {"linestyle": "", "marker": "o", "color": GOAL}
     return [
-        Line2D([], [], markersize=4.5, label="start", **dot),
-        Line2D([], [], markersize=5.5, markerfacecolor="white", markeredgewidth=1.3, label="goal", **dot),
-        Line2D([], [], color=PATH, linewidth=1.2, label="shortest path"),
-        Patch(**_WALL, label="wall"),
-        Patch(**_IN_THE_WAY, label="in the way of flights"),
-        Patch(**_PASSED, label="flown over or under"),
+        Line2D([], [], markersize=3, label="Start", **dot),
+        Line2D([], [], markersize=4, markerfacecolor="white", markeredgewidth=1, label="Goal", **dot),
+        Line2D([], [], color=PATH, linewidth=1.2, label="Shortest path"),
+        Patch(**_WALL, label="Wall"),
+        Patch(**_IN_THE_WAY, label="In the way of flights"),
+        Patch(**_PASSED, label="Flown over or under"),
     ]

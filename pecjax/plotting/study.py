@@ -13,8 +13,7 @@ from pecjax.envs.task import TaskSettings
 from pecjax.plotting.configurations import configurations
 from pecjax.plotting.study_curves import evaluation, exits, goal_ratio, groups, spread
 from pecjax.plotting.study_ends import alphas, maps, steps_to_threshold
-from pecjax.plotting.style import save
-from pecjax.studies.catalogue import OWN
+from pecjax.plotting.style import save, set_title
 from pecjax.studies.directory import StudyDirectory
 from pecjax.studies.grid import shown_space, space_name
 from pecjax.studies.report import by_run, group_columns
@@ -23,7 +22,7 @@ from pecjax.training.kinds import AGENT_LABELS, kind_name
 
 
 def draw_study(folder: Path) -> list[Path]:
-    """Draws every figure of a study, for each set of coordinates, into its `figures` folder.
+    """Draws every figure of a study as PDF and PNG, for each set of coordinates, into its `figures` folder.
 
     Raises:
         InputError: the folder holds no study, or none of its batches is finished.
@@ -42,14 +41,10 @@ def draw_study(folder: Path) -> list[Path]:
         tables = StudyTables(*(table.loc[table.coordinates == space] for table in everything))
         if tables.results.empty:
             continue
-        seeds = tables.results.groupby("condition").seed.nunique()
-        number = f"{seeds.max()}" if seeds.min() == seeds.max() else f"{seeds.min()} to {seeds.max()}"
-        title = (
-            f"{'' if settings.name == OWN else f'{settings.name}: '}{AGENT_LABELS.get(agent, agent)}, "
-            f"{shown_space(space)}, {number} seed{'' if number == '1' else 's'}"
-        )
+        title = f"{AGENT_LABELS.get(agent, agent)} on {shown_space(space)}"
         for name, figure in _figures(tables, task):
-            figure.suptitle(title, fontsize=10)
+            of = figure.get_suptitle()
+            set_title(figure, f"{title}, {of}" if of else title)
             stem = name if len(spaces) == 1 else f"{name}-{Path(space).stem}"
             paths.extend(save(figure, folder / "figures" / stem))
     return paths
@@ -68,6 +63,6 @@ def _figures(tables: StudyTables, task: TaskSettings) -> Iterator[tuple[str, Fig
         yield "map", maps(tables, task)
     for condition, rows in tables.configurations.groupby("condition", sort=False):
         stem = f"configurations-{condition.replace(', α = ', '-').replace(', ', '-').replace(' = ', '-')}"
-        yield stem, configurations(rows, f"{condition}, ", ", all seeds")
+        yield stem, configurations(rows, f"{condition}, all seeds")
     if tables.results.alpha.nunique() > 1 and not varied_columns(tables.results):
         yield "alpha", alphas(runs)

@@ -2,23 +2,40 @@
 
 from __future__ import annotations
 
-from itertools import count
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from pecjax.envs.rooms.settings import Rooms
-from pecjax.plotting.maps import success
-from pecjax.plotting.study_curves import FEW, INTERVALS, style_of
-from pecjax.plotting.style import RATIO_LIMITS, steps_unit
+from pecjax.plotting.seeds import band_of, how_it_spreads, seeds_in_words
+from pecjax.plotting.style import (
+    BLACK,
+    PAGE,
+    RATIO_LIMITS,
+    SMALL,
+    drop_inner_labels,
+    legend_below,
+    name_panels,
+    steps_unit,
+    style_of,
+    styled,
+)
+from pecjax.plotting.success_map import success
 from pecjax.studies.report import THRESHOLDS
-from pecjax.studies.statistics import Interval, interval
 from pecjax.studies.tables import StudyTables
 
+FEW = 4  # conditions whose names have a place below an axis, side by side
+MAPS_IN_ROW = 3
+MOST_TICKS = 8  # of an axis of α
 
+
+@styled
 def steps_to_threshold(runs: pd.DataFrame) -> Figure:
     """Steps until five evaluations in a row hold a threshold, a line for each seed.
 
@@ -27,7 +44,7 @@ def steps_to_threshold(runs: pd.DataFrame) -> Figure:
     """
     names = list(dict.fromkeys(runs.condition))
     many = len(names) > FEW
-    figure = Figure((max(8.4, 0.9 * len(names)), 4.8 if many else 4.0), layout="constrained")
+    figure = Figure((PAGE, 3.2 if many else 2.6), layout="constrained")
     steps = runs[[f"steps_to_{at:g}" for at in THRESHOLDS]].to_numpy()
     finite = steps[np.isfinite(steps)]
     unit, of_unit = steps_unit(finite.max(initial=0))
@@ -37,33 +54,39 @@ def steps_to_threshold(runs: pd.DataFrame) -> Figure:
         table = runs.pivot(index="seed", columns="condition", values=f"steps_to_{at:g}")[names] / unit
         shown = table if zone is None else table.replace(np.inf, zone.middle)
         for _, row in shown.iterrows():
-            axes.plot(range(len(names)), row, color="0.7", linewidth=0.8, zorder=1)
+            axes.plot(range(len(names)), row, color="0.75", linewidth=0.7, zorder=1)
         for place, name in enumerate(names):
-            _condition(axes, place, np.asarray(table[name].dropna()), zone)
+            _condition(axes, place, np.asarray(table[name].dropna()), zone, "/" if many else " of ")
         labels = names if many else [name.replace(", ", "\n") for name in names]
-        axes.set_xticks(range(len(names)), labels, fontsize=8, rotation=90 if many else 0)
+        axes.set_xticks(range(len(names)), labels, rotation=90 if many else 0)
         axes.set(xlim=(-0.5, len(names) - 0.5), ylim=(0, top))
-        axes.set_title(f"goal ratio {at:g} held by five uniform evaluations", fontsize=9)
-        axes.grid(alpha=0.3, axis="y")
+        axes.grid(True, axis="y")
         if zone is not None:
             zone.draw(axes)
-    if len(finite):
-        figure.axes[0].set_ylabel(f"environment steps{of_unit}; bar: median")
+    name_panels(figure.axes, [f"Goal ratio {at:g} held by five evaluations" for at in THRESHOLDS])
+    figure.axes[0].set_ylabel(f"Environment steps{of_unit}")
+    entries: list[Artist] = [
+        Line2D([], [], linestyle="", marker="o", color="0.4", label="A run"),
+        Line2D([], [], color="0.75", linewidth=0.7, label="Runs of one seed"),
+        Line2D([], [], color=BLACK, linewidth=1.6, label="Median of the runs"),
+    ]
+    legend_below(figure, entries)
     return figure
 
 
-def _condition(axes: Axes, place: int, steps: np.ndarray, zone: _Zone | None) -> None:
-    """The marks of one condition's runs, and its median if that is a number."""
-    color, _, mark = style_of(place)
+def _condition(axes: Axes, place: int, steps: np.ndarray, zone: _Zone | None, of: str) -> None:
+    """The marks of one condition's runs, how many never held it, and the median if that is a number."""
+    look = style_of(place)
     never, shown = int(np.isinf(steps).sum()), steps
     if zone is not None and never:
         shown = np.where(np.isinf(steps), zone.middle, steps)
-        style = {"textcoords": "offset points", "xytext": (0, 5), "ha": "center", "fontsize": 8}
-        axes.annotate(f"{never} of {len(steps)}", (place, zone.middle), **style)
-    axes.scatter(np.full(len(shown), place), shown, color=color, marker=mark, s=24, zorder=2)
+        style = {"textcoords": "offset points", "xytext": (0, 4), "ha": "center", "fontsize": SMALL}
+        axes.annotate(f"{never}{of}{len(steps)}", (place, zone.middle), **style)
+    mark = {"color": look["color"], "marker": look["marker"]}
+    axes.scatter(np.full(len(shown), place), shown, s=16, zorder=2, **mark)
     median = np.median(steps)
     if np.isfinite(median):
-        axes.plot([place - 0.22, place + 0.22], [median, median], color="black", linewidth=1.6, zorder=3)
+        axes.plot([place - 0.22, place + 0.22], [median, median], color=BLACK, linewidth=1.6, zorder=3)
 
 
 class _Zone(NamedTuple):
@@ -87,65 +110,81 @@ class _Zone(NamedTuple):
     def draw(self, axes: Axes) -> None:
         """Ends the axis of numbers below the zone, and shades it."""
         axes.axhspan(self.low, self.high, color="0.93", linewidth=0, zorder=0)
-        axes.annotate(
-            "not reached",
-            (0, self.high),
-            xycoords=("axes fraction", "data"),
-            textcoords="offset points",
-            xytext=(4, -4),
-            fontsize=8,
-            va="top",
-        )
-        axes.set_yticks([tick for tick in axes.get_yticks() if self.low and tick <= self.low])
+        ticks = [tick for tick in axes.get_yticks() if self.low and tick <= self.low]
+        axes.set_yticks([*ticks, self.middle], [*(f"{tick:g}" for tick in ticks), "Not\nreached"])
         axes.spines[["left", "right"]].set_bounds(0, self.low)
         axes.spines["top"].set_visible(False)
 
 
+@styled
 def maps(tables: StudyTables, task: Rooms) -> Figure:
-    """The first map with the last evaluation's goal ratio of every pair, a panel for each condition."""
+    """The first map with the last evaluation's goal ratio of every pair, a panel for each condition.
+
+    The colours begin at a round number below the lowest of all ratios.
+    """
     table, scene = task.configurations(), task.scene(0)
-    last = tables.configurations[tables.configurations.iteration == tables.configurations.iteration.max()]
-    by_condition = list(last.groupby("condition", sort=False))
-    figure = Figure((4.6 * len(by_condition) + 0.8, 5.0), layout="constrained")
-    panels = figure.subplots(1, len(by_condition), sharey=True, squeeze=False)[0]
-    shades = []
-    for axes, (condition, counts) in zip(panels, by_condition, strict=True):
-        ratios = counts.groupby("config").goal_ratio.mean().to_numpy()
-        shades.append(success(axes, scene, table, ratios, task))
-        axes.set_title(f"{condition}: {np.nanmean(ratios):.3f} of all reach the goal", fontsize=9)
-        axes.label_outer()
-    figure.colorbar(shades[0], ax=list(panels), label="goal ratio, mean over seeds", shrink=0.7, extend="min")
+    counts = tables.configurations
+    last = counts.loc[counts.iteration == counts.iteration.max()]
+    by_name = last.groupby(["condition", "config"], sort=False).goal_ratio.mean()
+    ratios = {name: by_name[name].sort_index().to_numpy() for name in dict.fromkeys(last.condition)}
+    low = min(0.9, math.floor(10 * np.nanmin(by_name)) / 10)
+    rows = math.ceil(len(ratios) / MAPS_IN_ROW)
+    columns = max(2, math.ceil(len(ratios) / rows))
+    (left, bottom), (right, top) = scene.map.bounds
+    height = (PAGE - 1.3) / columns * (top - bottom) / (right - left)
+    figure = Figure((PAGE, rows * (height + 0.3) + 0.6), layout="compressed")
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel().tolist()
+    for axes in panels[len(ratios) :]:
+        axes.remove()
+    panels = panels[: len(ratios)]
+    shades = [
+        success(axes, scene, table, of_one, task, low)
+        for axes, of_one in zip(panels, ratios.values(), strict=True)
+    ]
+    drop_inner_labels(panels, columns)
+    name_panels(panels, [f"{name}, mean {np.nanmean(of_one):.3f}" for name, of_one in ratios.items()])
+    label = f"Goal ratio, mean of {seeds_in_words(last)}"
+    figure.colorbar(shades[0], ax=panels, label=label, shrink=0.8, aspect=30)
     return figure
 
 
+@styled
 def alphas(runs: pd.DataFrame) -> Figure:
-    """How the end of training depends on α (Fig. 11-12): failures since the beginning, evaluation."""
-    figure = Figure((9.6, 4.2), layout="constrained")
-    panels = {
-        "failure ratio since the beginning": {"failure_ratio": "mean over configurations"},
-        "goal ratio, last uniform evaluation": {
-            "goal_ratio": "all configurations",
-            "cvar": "worst tenth (CVaR)",
-        },
-    }
-    of_samplers = list(runs.dropna(subset="alpha").groupby("sampler", sort=False))
-    for axes, (label, lines) in zip(figure.subplots(1, 2), panels.items(), strict=True):
-        curves = [(sampler, rows, name) for sampler, rows in of_samplers for name in lines]
-        for (sampler, rows, name), (color, dashes, mark) in zip(curves, map(style_of, count()), strict=False):
-            found = {alpha: interval(x.to_numpy()) for alpha, x in rows.groupby("alpha")[name]}
-            of = f"{sampler}, " if len(of_samplers) > 1 else ""
-            _error_bars(axes, found, color=color, linestyle=dashes, marker=mark, label=of + lines[name])
-        axes.set(xlabel="α", ylabel=label)
-        axes.grid(alpha=0.3)
-        place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.16), "ncols": 2}
-        axes.legend(title=INTERVALS, fontsize=8, title_fontsize=8, **place)
-    failures, goals = figure.axes
-    failures.set_ylim(0, min(1.02, max(0.1, failures.get_ylim()[1])))
-    goals.set_ylim(RATIO_LIMITS)
+    """How the end of training depends on α (Fig. 11-12): failures since the beginning, evaluation.
+
+    The runs stand beside what is made of them, as small points.
+    """
+    figure = Figure((PAGE, 2.7), layout="constrained")
+    panels = figure.subplots(1, 2)
+    failure, goals = (
+        {"failure_ratio": "mean over configurations"},
+        {"goal_ratio": "all configurations", "cvar": "worst tenth"},
+    )
+    known = runs.dropna(subset="alpha")
+    values, place = sorted(set(known.alpha)), 0
+    for axes, lines in zip(panels, (failure, goals), strict=True):
+        for sampler, rows in known.groupby("sampler", sort=False):
+            for column, words in lines.items():
+                look = style_of(place) | {"label": f"{sampler}: {words}"}
+                beside = 0.02 * np.ptp(values) * (1 + place % 2)
+                _by_alpha(axes, rows, column, look, beside)
+                place += 1
+        if len(values) <= MOST_TICKS:
+            axes.set_xticks(values)
+        axes.set_xlabel("α")
+        axes.grid(True)
+    panels[0].set(ylabel="Failure ratio", ylim=(0, min(1.02, max(0.1, 1.1 * runs.failure_ratio.max()))))
+    panels[1].set(ylabel="Goal ratio", ylim=RATIO_LIMITS)
+    name_panels(panels, ["Training, since its beginning", "Last uniform evaluation"])
+    panels[0].plot([], [], ".", color="0.4", label="A run, beside its α")
+    legend_below(figure, title=how_it_spreads(known))
     return figure
 
 
-def _error_bars(axes: Axes, found: dict[Any, Interval], **style: Any) -> None:
+def _by_alpha(axes: Axes, rows: pd.DataFrame, column: str, look: dict[str, Any], beside: float) -> None:
+    """A line with bars over the seeds, and the runs as points that far to the right of their α."""
+    found = {alpha: band_of(rows, x.to_numpy()) for alpha, x in rows.groupby("alpha")[column]}
     value, low, high = np.array(list(found.values())).T
-    error = np.nan_to_num([value - low, high - value])
-    axes.errorbar(list(found), value, error, capsize=3, markersize=4, **style)
+    error = np.clip(np.nan_to_num([value - low, high - value]), 0, None)
+    axes.errorbar(np.array(list(found), float), value, error, **look)
+    axes.scatter(rows.alpha + beside, rows[column], s=4, color=look["color"], alpha=0.6, linewidth=0)

@@ -1,6 +1,7 @@
 """Processes: those that share one training, what they agree on, and how they end together.
 
-Each of them runs the same program on devices of its own. Only the first, the lead, writes and speaks.
+Each of them runs the same program on devices of its own. Only the first, the primary process, writes files
+and prints.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ def join(coordinator: str, number: int | None = None, index: int | None = None) 
     """Makes this process one of those that share a training; call it before JAX is first used.
 
     Args:
-        coordinator: HOST:PORT of the lead, which the others can reach, or `auto` where SLURM or
+        coordinator: HOST:PORT of the primary process, which the others can reach, or `auto` where SLURM or
             Open MPI started the processes and can be asked.
-        number, index: how many there are, and which this is; the lead is 0.
+        number, index: how many there are, and which this is; the primary process is 0.
 
     Raises:
         InputError: these do not go together, or not all processes came in `JOIN_SECONDS`.
@@ -70,12 +71,12 @@ def join(coordinator: str, number: int | None = None, index: int | None = None) 
 
 
 def is_primary() -> bool:
-    """Whether this process is the one that writes and speaks; so is one that is alone."""
+    """Whether this process writes files and prints; a process that is alone does."""
     return jax.process_index() == 0
 
 
 def primary_only(write: Callable[..., None]) -> Callable[..., None]:
-    """Makes a function one that only the lead carries out: all processes see one folder."""
+    """Makes only the primary process run a function: all processes share one folder."""
 
     @functools.wraps(write)
     def write_if_lead(*args: Any, **kwargs: Any) -> None:
@@ -138,7 +139,7 @@ def ending_together(advice: str) -> Iterator[None]:
         yield
         return
     try:
-        with _guarded(f"struck down, most likely since {LOST}; {advice}"):
+        with _guarded(f"killed, most likely because {LOST}; {advice}"):
             yield
     except jax.errors.JaxRuntimeError as error:
         if not str(error).startswith(_UNREACHED):
@@ -148,7 +149,7 @@ def ending_together(advice: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _guarded(line: str) -> Iterator[None]:
-    """Has a process beside this one say the line should this one be struck down meanwhile."""
+    """Has a second process print the line if this process is killed meanwhile."""
     command = [sys.executable, "-c", _GUARD, f"pecjax: {line}\n"]
     guard = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
     try:

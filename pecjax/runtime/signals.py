@@ -1,4 +1,4 @@
-"""Interruption: Ctrl-C and SIGTERM as a wish that is seen to between two iterations."""
+"""Interruption: Ctrl-C and SIGTERM, handled between two iterations."""
 
 from __future__ import annotations
 

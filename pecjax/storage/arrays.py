@@ -49,7 +49,7 @@ _UNREADABLE = (
 def write_arrays(path: Path, tree: Any, about: dict[str, Any] | None = None) -> None:
     """Writes every leaf under its place in the tree; the file is put in place of another at once.
 
-    Where several processes share a training all of them call it, and the lead writes.
+    Where several processes share a training, all of them call it and the primary process writes.
 
     Args:
         about: what the arrays belong to, as JSON.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import fcntl
 import io
 import json
 import os
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import cattrs
+import filelock
 import numpy as np
 
 from pecjax import settings_tree
@@ -91,10 +91,10 @@ def read_settings(path: Path, kind: type[Settings], what: str, today: Callable[[
         ) from error
 
 
-def replace_file(path: Path, text: str) -> None:
+def replace_file(path: Path, content: str | bytes) -> None:
     """Puts a whole file in place of another: whoever reads sees the old or the new one."""
     new = path.with_name(f".{path.name}.new")
-    new.write_text(text)
+    new.write_bytes(content.encode() if isinstance(content, str) else content)
     os.replace(new, path)
 
 
@@ -119,7 +119,7 @@ def check_free(folder: Path) -> None:
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; give a folder with --out")
-    if folder.is_dir() and any(folder.iterdir()):
+    if folder.is_dir() and any(path.name != _LOCK for path in folder.iterdir()):
         held = next((held for name, held in _HELD.items() if (folder / name).exists()), "is not empty")
         raise InputError(f"{folder}: {held}; give another folder with --out")
     nearest = next(p for p in (folder, *folder.absolute().parents) if p.exists())
@@ -131,7 +131,7 @@ def check_free(folder: Path) -> None:
 def alone(folder: Path) -> Iterator[None]:
     """Keeps other trainings from writing a run or a study into the folder at the same time.
 
-    Of the processes that share a training the lead holds the place for all.
+    Where several processes share a training, the primary process holds the lock for all.
 
     Raises:
         InputError: another one does already.
@@ -139,15 +139,17 @@ def alone(folder: Path) -> Iterator[None]:
     if not is_primary():
         yield
         return
-    place = os.open(folder, os.O_RDONLY)
-    try:
+    lock = filelock.FileLock(folder / _LOCK, timeout=0)
+    with writing(folder, "make room, or see to its permissions"):
         try:
-            fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)  # gone with the process, however it ends
-        except BlockingIOError as error:
+            lock.acquire()  # the system's own lock: gone with the process, however it ends
+        except filelock.Timeout as error:
             raise InputError(f"{folder}: another process trains here; wait for its end") from error
+    try:
         yield
     finally:
-        os.close(place)
+        lock.release()
 
 
+_LOCK = ".lock"  # stays in the folder, where it means nothing unless a process holds it
 _HELD = {"config.json": "holds another run", "study.json": "holds a study"}

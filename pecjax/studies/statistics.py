@@ -45,7 +45,7 @@ def steps_to_exit(steps: np.ndarray, ratios: np.ndarray, threshold: float) -> fl
 
 
 def area_under_curve(steps: np.ndarray, ratios: np.ndarray) -> float:
-    """The mean of the curve from the first to the last of its steps, by trapezes."""
+    """The mean of the curve from the first to the last of its steps, by the trapezoidal rule."""
     if len(steps) == 1:
         return float(ratios[0])
     return float(np.trapezoid(ratios, steps) / (steps[-1] - steps[0]))
@@ -97,6 +97,11 @@ def trial_and_failure_ratios(counts: pd.DataFrame, within: list[str]) -> pd.Data
     tried = counts.trials.where(counts.trials > 0)
     total = counts.groupby(within, sort=False).trials.transform("sum").clip(lower=1)
     return counts.assign(trial=counts.trials / total, failure=counts.failures / tried)
+
+
+def effective_number(shares: np.ndarray) -> float:
+    """The exponential of the entropy of shares (N,): N where all are alike, 1 where one has everything."""
+    return float(np.exp(stats.entropy(shares)))
 
 
 def paired_difference(values: np.ndarray, baseline: np.ndarray) -> Interval:

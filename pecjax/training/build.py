@@ -14,13 +14,14 @@ from pecjax.agents.sharding import placement
 from pecjax.curriculum import Sampler
 from pecjax.envs.task import EvalSet, Task, World, num_configs
 from pecjax.runtime.devices import check_memory
+from pecjax.training.contracts import check_contracts
 from pecjax.training.settings import RunSettings, check_settings
 
 Tree = TypeVar("Tree")
 
 
 class Run(NamedTuple):
-    """What a run is built from; its worlds are on all devices of the mesh.
+    """The parts of a run; its worlds are on all devices of the mesh.
 
     Attributes:
         eval_set: what policies are evaluated in; `eval_world` is the world with that table.
@@ -48,12 +49,13 @@ def build(settings: RunSettings, num_devices: int, *, trains: bool = True) -> Ru
             needs neither.
 
     Raises:
-        InputError: settings that are absurd or do not fit one another, a world that is wrong, or
-            observations or a replay that memory cannot hold.
+        InputError: settings are out of range or do not fit one another, the world is wrong, or memory
+            cannot hold the observations or the replay.
     """
     check_settings(settings)
     task, world = settings.task.make()
     sampler = settings.sampler.make(num_configs(world.table))
+    check_contracts(settings, task, world, sampler)
     mesh = device_mesh(num_devices)
     agent = settings.agent.make(task, sampler, AXIS)
     if trains:

@@ -1,4 +1,4 @@
-"""Checkpoints: what a run can resume from, and the policies it can be asked for, by iteration."""
+"""Checkpoints: states to resume from, and policies by iteration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report of an evaluation: all episodes, each group, and by what configurations hold."""
+"""The report of an evaluation: all episodes, each group, and by features of the configurations."""
 
 from __future__ import annotations
 

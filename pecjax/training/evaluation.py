@@ -25,8 +25,8 @@ class EvalResult(NamedTuple):
         returns: (E,) sum of rewards.
         lengths: (E,) int, actions taken.
         metrics: (E,) each, the task's metrics over the episode.
-        paths: (E, T + 1, 2) m, positions seen from above, past its end where it ended; None of a task
-            that has none.
+        poses: (E, T + 1, 7), see `Task.pose`; past its end where it ended. None of a task without poses.
+        actions: (E, T, …), zeros past its end; None of a task without poses.
     """
 
     config_id: Any
@@ -34,7 +34,8 @@ class EvalResult(NamedTuple):
     returns: Any
     lengths: Any
     metrics: dict[str, Any]
-    paths: Any
+    poses: Any = None
+    actions: Any = None
 
     def goal_ratios(self) -> np.ndarray:
         """Share of successes (N,) of each configuration up to the last that was run."""
@@ -130,8 +131,7 @@ def run_episodes(
     start = reset(keys, take_configs(world.table, config_id), world.params)
     first = jax.vmap(jax.random.fold_in, (0, None))(keys, limit)  # steps fold in numbers below it
     obs = observe(first, start, world.params)
-    position = jax.vmap(task.position)(start)
-    paths = None if position is None else jnp.zeros((limit + 1, number, 2)).at[0].set(position)
+    recording = _start_recording(task, act, start, obs, keys)
     running = start_episodes(config_id, task.metrics)
     nothing = {name: jnp.zeros(number) for name in task.metrics}
     none = jnp.zeros(number, bool)
@@ -141,7 +141,7 @@ def run_episodes(
         return (time < limit) & ~jnp.all(done)
 
     def step(carry: tuple) -> tuple:
-        time, state, obs, running, done, success, metrics, paths = carry
+        time, state, obs, running, done, success, metrics, recording = carry
         now = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, time)
         # The action's draws are those of `now`; the task's are of keys of their own.
         of_task = jax.vmap(lambda key: jax.random.split(key, 2), out_axes=1)(now)
@@ -160,17 +160,36 @@ def run_episodes(
                 episodes.metrics,
             ),
         )
-        if paths is not None:
-            paths = paths.at[time + 1].set(jax.vmap(task.position)(state))
-        return time + 1, state, obs, running, done | episodes.outcomes.done, success, metrics, paths
+        if recording is not None:
+            poses, taken = recording
+            mask = done.reshape(-1, *[1] * (actions.ndim - 1))
+            recording = (
+                poses.at[time + 1].set(jax.vmap(task.pose)(state)),
+                taken.at[time].set(jnp.where(mask, 0, actions)),
+            )
+        return time + 1, state, obs, running, done | episodes.outcomes.done, success, metrics, recording
 
-    time, state, _, running, _, success, metrics, paths = jax.lax.while_loop(
-        are_running, step, (jnp.int32(0), start, obs, running, none, none, nothing, paths)
+    time, state, _, running, _, success, metrics, recording = jax.lax.while_loop(
+        are_running, step, (jnp.int32(0), start, obs, running, none, none, nothing, recording)
     )
-    if paths is not None:
+    poses = taken = None
+    if recording is not None:
         beyond = jnp.arange(limit + 1)[:, None, None] > time
-        paths = jnp.where(beyond, jax.vmap(task.position)(state), paths).swapaxes(0, 1)
-    return EvalResult(config_id, success, running.episode_return, running.length, metrics, paths)
+        poses = jnp.where(beyond, jax.vmap(task.pose)(state), recording[0]).swapaxes(0, 1)
+        taken = recording[1].swapaxes(0, 1)
+    return EvalResult(config_id, success, running.episode_return, running.length, metrics, poses, taken)
+
+
+def _start_recording(
+    task: Task, act: Callable[[Any, jax.Array], jax.Array], start: Any, obs: Any, keys: jax.Array
+) -> tuple[jax.Array, jax.Array] | None:
+    """Poses (T + 1, E, 7), the first of them filled in, and actions (T, E, …), none taken yet."""
+    pose = jax.vmap(task.pose)(start)
+    if pose is None:
+        return None
+    action = jax.eval_shape(jax.vmap(act), obs, keys)
+    poses = jnp.zeros((task.max_steps + 1, *pose.shape), pose.dtype).at[0].set(pose)
+    return poses, jnp.zeros((task.max_steps, *action.shape), action.dtype)
 
 
 def success_by_config(config_id: np.ndarray, success: np.ndarray, num_configs: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Former versions: what their files hold, as it is written today."""
+"""Former versions: converts their files to today's form."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kinds: tasks, samplers and agents by the names that users give them, and as they are shown."""
+"""Kinds: names of tasks, samplers and agents, as users type and see them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limits: how much a run's settings may ask for, which may come from a stranger's config.json."""
+"""Limits on a run's settings, which may come from a stranger's config.json."""
 
 from __future__ import annotations
 

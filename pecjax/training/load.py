@@ -1,4 +1,4 @@
-"""Loading: a run's folder opened again, to run its policy."""
+"""Loading: opens a run's folder to run its policy."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from pecjax.training.settings import RunSettings
 
 
 class Trained(NamedTuple):
-    """A run as it stood at a checkpoint.
+    """A run at one of its checkpoints.
 
     Attributes:
         settings: of the run; its task reads the files in the run's folder.
         run: task, world, sampler and agent.
         iteration: the checkpoint's.
-        learner: the agent's parameters and what belongs to them.
+        learner: the agent's parameters and the state that belongs to them.
     """
 
     settings: RunSettings
@@ -40,7 +40,7 @@ class Trained(NamedTuple):
         """The same policy, to be evaluated in another world.
 
         Raises:
-            InputError: its configurations have objectives that the policy was not shown.
+            InputError: its configurations have objectives that the policy was not trained with.
         """
         eval_set = eval_set._replace(table=self.run.task.fitted(eval_set.table), held_out=True)
         there = everywhere(world._replace(table=eval_set.table), self.run.mesh)
@@ -49,8 +49,7 @@ class Trained(NamedTuple):
     def evaluator(self) -> Callable[..., EvalResult]:
         """evaluate(world=None) -> EvalResult, as the run's settings evaluate it, by default in its own world.
 
-        It is compiled once; another world of the same shapes, such as maps that were never seen, compiles
-        nothing.
+        It is compiled once. Another world of the same shapes, such as unseen maps, compiles nothing.
         """
         compiled = compile_evaluator(self.run, self.settings, self.learner)
 

@@ -14,7 +14,13 @@ import numpy as np
 from pecjax.agents import TrainState
 from pecjax.storage.files import Row
 from pecjax.training.program import Program
-from pecjax.training.rows import configuration_arrays, episode_arrays, evaluation_row, metrics_row
+from pecjax.training.rows import (
+    configuration_arrays,
+    episode_arrays,
+    evaluation_row,
+    metrics_row,
+    recording_arrays,
+)
 from pecjax.training.settings import RunSettings, StopSettings
 from pecjax.training.sinks import Sink
 
@@ -139,7 +145,7 @@ def run_loop(program: Program, start: Position, settings: RunSettings, sink: Sin
             results = _by_run(program, program.evaluate(state))
             steps = iteration * program.steps_per_iteration
             evaluation = [evaluation_row(iteration, steps, one, program.eval_set) for one in results]
-            episodes = [episode_arrays(one, with_paths=last) for one in results]
+            episodes = [episode_arrays(one) | (recording_arrays(one) if last else {}) for one in results]
             sink.rows("evaluation", evaluation)
             sink.arrays("episodes", iteration, episodes)
         asked = hooks.asked()

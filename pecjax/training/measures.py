@@ -1,9 +1,10 @@
-"""Measures: what the episodes of an evaluation come to."""
+"""Measures over the episodes of an evaluation."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import jax
 import numpy as np
 from scipy import stats
 
@@ -78,25 +79,28 @@ def by_group(result: EvalResult, about: EvalSet) -> list[tuple[str, np.ndarray]]
 
 def only(result: EvalResult, chosen: np.ndarray) -> EvalResult:
     """The episodes (E,) bool that are chosen."""
-    metrics = {name: value[chosen] for name, value in result.metrics.items()}
-    paths = None if result.paths is None else result.paths[chosen]
-    return EvalResult(*(leaf[chosen] for leaf in result[:4]), metrics=metrics, paths=paths)
+    return jax.tree.map(lambda leaf: leaf[chosen], result)
+
+
+def wilson(successes: int, episodes: int) -> tuple[float, float]:
+    """The 95 % interval of a ratio of independent successes (Wilson 1927)."""
+    interval = stats.binomtest(successes, episodes).proportion_ci(CONFIDENCE, "wilson")
+    return float(interval.low), float(interval.high)
 
 
 def figures_of(result: EvalResult, about: EvalSet, num_configs: int) -> dict[str, Any]:
-    """The figures of some episodes, with the 95 % interval of their goal ratio (Wilson 1927).
+    """The figures of some episodes, with the 95 % interval of their goal ratio.
 
     The interval is over these episodes as they were drawn, not over trainings.
     """
     episodes, successes = len(result.success), int(result.success.sum())
     if not episodes:
         return {"episodes": 0}
-    interval = stats.binomtest(successes, episodes).proportion_ci(CONFIDENCE, "wilson")
     metrics = {name: float(value.mean()) for name, value in sorted(result.metrics.items())}
     return {
         "episodes": episodes,
         "goal_ratio": successes / episodes,
-        "interval": [float(interval.low), float(interval.high)],
+        "interval": list(wilson(successes, episodes)),
         "spl": spl(result, about),
         "cvar": unbiased_cvar(result, num_configs),
         "steps_to_goal": float(result.lengths[result.success].mean()) if successes else None,

@@ -16,9 +16,11 @@ from pecjax.agents import AXIS, Metrics, TrainState, device_mesh
 from pecjax.envs.task import EvalSet, Task, World, num_configs
 from pecjax.runtime.devices import check_memory, choose_num_devices
 from pecjax.training.build import Run, abstract_state, everywhere, for_evaluation, observation_bytes
+from pecjax.training.contracts import check_contracts
 from pecjax.training.evaluation import EvalResult, make_episode_runner, make_evaluator, stratified_config_ids
 from pecjax.training.settings import RunSettings
 
+RECORDED_BYTES = 32  # of a step: a pose and an action
 Iterate = Callable[[TrainState], tuple[TrainState, Metrics]]
 
 
@@ -105,12 +107,13 @@ def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable
     """The run's evaluation as a compiled program, (learner, world) -> EvalResult.
 
     Raises:
-        InputError: more episodes than memory holds the observations or the paths of.
+        InputError: more episodes than memory holds the observations or the recordings of.
     """
     about, devices = settings.evaluation, run.mesh.devices.size
     seen = observation_bytes(run.task, about.episodes)
     check_memory(seen, devices, "the observations of an evaluation take")
-    check_memory(8 * (run.task.max_steps + 1) * about.episodes, devices, "the paths of an evaluation take")
+    recorded = RECORDED_BYTES * (run.task.max_steps + 1) * about.episodes
+    check_memory(recorded, devices, "the recordings of an evaluation take")
     return make_evaluator(
         run.task, run.agent, run.mesh, episodes=about.episodes, greedy=about.greedy, seed=about.seed
     )(learner, run.eval_world)
@@ -140,6 +143,7 @@ def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> 
     devices = choose_num_devices(None, runs)
     mesh = device_mesh(devices)
     sampler = settings.sampler.make(num_configs(world.table))
+    check_contracts(settings, task, world, sampler)
     agent = settings.agent.make(task, sampler)
     check_memory(agent.replay_bytes * runs, devices)
     world, about = everywhere(world, mesh), settings.evaluation
@@ -156,7 +160,7 @@ def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> 
 
     def evaluate(world: World, learner: Any) -> EvalResult:
         result = run(learner, world, jnp.asarray(config_id), jnp.arange(config_id.size))
-        return result._replace(paths=None)
+        return result._replace(poses=None, actions=None)
 
     def spread(one: Callable, **options: Any) -> Callable:
         """`one` for each run, the world being the same for all."""

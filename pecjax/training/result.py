@@ -1,4 +1,4 @@
-"""Training from Python: settings go in, a policy and the figures of its training come out."""
+"""Training from Python: from settings to a policy and the figures of its training."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from pecjax.training.sinks import Sink
 
 
 class Result(NamedTuple):
-    """What a training came to.
+    """The result of a training.
 
     Attributes:
-        summary: as in summary.json.
+        summary: the content of summary.json.
         metrics, evaluation: the rows of both tables.
-        trained: the run with its last learner; `trained.policy()` flies.
+        trained: the run with its last learner; `trained.policy()` is its policy.
     """
 
     summary: dict[str, Any]
@@ -52,12 +52,12 @@ def train(
         act = result.trained.policy()
 
     Args:
-        out: the run's folder; it must be empty or not there. None keeps no files.
-        devices: how many share the environments, all that divide them when None.
+        out: the run's folder, which must be empty or not exist; None keeps no files.
+        devices: how many devices share the environments; None for all that divide them.
         sinks: listeners to the loop.
 
     Raises:
-        InputError: settings that cannot be run with.
+        InputError: the settings cannot be run.
         StoppedError, DivergedError: see `pecjax.training.train.train`.
     """
     rows = _Rows()

@@ -12,9 +12,9 @@ from pecjax.storage.files import Row
 from pecjax.training.evaluation import EvalResult, success_by_config
 from pecjax.training.measures import by_group, cvar, spl
 
-DRAWN_PATHS = 2  # of each configuration, whose paths are kept
-MOST_DRAWN_PATHS = 100
-PATH_ARRAYS = ("path_episode", "paths")
+RECORDED = 2  # episodes of each configuration whose poses and actions are kept
+MOST_RECORDED = 100
+RECORDING_ARRAYS = ("recorded", "poses", "actions")
 
 
 def metrics_row(iteration: int, env_steps: int, metrics: Metrics) -> Row:
@@ -67,19 +67,28 @@ def configuration_arrays(counts: np.ndarray, probabilities: np.ndarray) -> dict[
     return {"trials": counts[0], "failures": counts[1], "probability": probabilities}
 
 
-def episode_arrays(result: EvalResult, with_paths: bool) -> dict[str, Any]:
-    """What is kept of an evaluation's episodes, (E,) each.
+def episode_arrays(result: EvalResult) -> dict[str, Any]:
+    """What is kept of an evaluation's episodes, (E,) each."""
+    kept = {"config_id": result.config_id, "success": result.success, "return": result.returns}
+    return kept | {"length": result.lengths, **result.metrics}
+
+
+def recording_arrays(result: EvalResult, chosen: np.ndarray | None = None) -> dict[str, Any]:
+    """`RECORDING_ARRAYS`: the poses and actions of some episodes; none of a task without poses.
 
     Args:
-        with_paths: keeps `PATH_ARRAYS` too: which of them have paths (F,), and those (F, L, 2).
+        chosen: (F,) the episodes; by default the first few of each configuration.
+
+    Returns:
+        `recorded` (F,), the episodes; `poses` (F, L + 1, 7) and `actions` (F, L, …), where L is the
+        longest one's length.
     """
-    kept = {"config_id": result.config_id, "success": result.success, "return": result.returns}
-    kept |= {"length": result.lengths, **result.metrics}
-    if with_paths and result.paths is not None:
-        chosen = _some_of_each(result.config_id)
-        longest = int(result.lengths[chosen].max()) + 1
-        kept |= dict(zip(PATH_ARRAYS, (chosen, result.paths[chosen, :longest]), strict=True))
-    return kept
+    if result.poses is None:
+        return {}
+    chosen = _some_of_each(result.config_id) if chosen is None else chosen
+    longest = int(result.lengths[chosen].max())
+    recording = chosen, result.poses[chosen, : longest + 1], result.actions[chosen, :longest]
+    return dict(zip(RECORDING_ARRAYS, recording, strict=True))
 
 
 def _some_of_each(config_id: np.ndarray) -> np.ndarray:
@@ -87,6 +96,6 @@ def _some_of_each(config_id: np.ndarray) -> np.ndarray:
     order = np.argsort(config_id, kind="stable")
     ids = config_id[order]
     place = np.arange(len(ids)) - np.searchsorted(ids, ids)
-    chosen = order[place < DRAWN_PATHS]
+    chosen = order[place < RECORDED]
     # Of many, some of all: the configurations may be in an order.
-    return chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), MOST_DRAWN_PATHS)).astype(int)]
+    return chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), MOST_RECORDED)).astype(int)]

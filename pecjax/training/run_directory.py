@@ -168,6 +168,11 @@ class RunDirectory:
         config = {"settings": settings_tree.to_json(settings)} | facts | {"sessions": [*sessions, session]}
         self.write_json("config.json", config)
 
+    def facts(self) -> dict[str, Any]:
+        """What `environment_facts` said when the run was last trained, as far as its config.json says."""
+        session = _sessions(self._config())[-1]
+        return {name: session.get(name) for name in FACTS}
+
     def num_devices(self) -> int | None:
         """How many devices the run was last trained on, where its config.json says so."""
         found = self._of_last_session("devices", "used")

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
-
 import numpy as np
 import pandas as pd
 
 from pecjax.errors import InputError
 from pecjax.storage.tables import read_table
+from pecjax.training.run_arrays import last_recording, run_arrays
 from pecjax.training.run_directory import RunDirectory
 
 
@@ -24,7 +22,7 @@ def configuration_table(run: RunDirectory) -> pd.DataFrame:
         return read_table(run.folder / "configurations.csv", set(columns[:-1]))
     parts = []
     for iteration in run.iterations("configurations"):
-        with _arrays(run, "configurations", iteration) as arrays:
+        with run_arrays(run, "configurations", iteration) as arrays:
             config = np.arange(len(arrays["trials"]))
             table = pd.DataFrame({"iteration": iteration, "config": config, **arrays})[columns]
             parts.append(table.astype({"trials": int, "failures": int, "probability": float}))
@@ -43,15 +41,12 @@ def trajectory_table(run: RunDirectory) -> pd.DataFrame:
     if (run.folder / "trajectories.csv").is_file():
         table = read_table(run.folder / "trajectories.csv", columns | {"goal"})
         return table.rename(columns={"goal": "success"})
-    kept = run.iterations("episodes")
-    if not kept or "paths" not in run.arrays("episodes", kept[-1]):
-        raise InputError(f"{run.folder / 'episodes'}: no paths of a finished run; train it to its end")
     parts = []
-    with _arrays(run, "episodes", kept[-1]) as last:
-        for episode, path in zip(last["path_episode"], last["paths"], strict=True):
+    with last_recording(run) as last:
+        for episode, path in zip(last["recorded"], last["poses"], strict=True):
             length = int(last["length"][episode]) + 1
             if len(path[:length]) != length:
-                raise ValueError(f"episode {episode} has no {length} positions")
+                raise ValueError(f"episode {episode} has no {length} poses")
             about = {
                 "episode": episode,
                 "config": last["config_id"][episode],
@@ -61,19 +56,3 @@ def trajectory_table(run: RunDirectory) -> pd.DataFrame:
             parts.append(pd.DataFrame(about | steps))
         kinds = {"episode": int, "config": int, "success": int, "x": float, "y": float}
         return pd.concat(parts, ignore_index=True).astype(kinds)
-
-
-@contextlib.contextmanager
-def _arrays(run: RunDirectory, name: str, iteration: int) -> Iterator[dict[str, np.ndarray]]:
-    """The arrays that a run has kept.
-
-    Raises:
-        InputError: they cannot be read, or what is made of them meanwhile cannot be made of them.
-    """
-    try:
-        yield run.arrays(name, iteration)
-    except InputError:
-        raise
-    except (KeyError, IndexError, ValueError, TypeError) as error:
-        path = run.folder / name / f"{iteration}.npz"
-        raise InputError(f"{path}: not the arrays of a run ({error!r}); train again") from error

@@ -1,4 +1,4 @@
-"""A session: a training in one process, and where it starts or resumes."""
+"""Sessions: a training in one process, and where it starts or resumes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pecjax.training.build import Run, abstract_state
 from pecjax.training.checkpoint import Checkpoints, ResumeState
 from pecjax.training.loop import Clock, Position, is_counted, is_evaluated, streak
 from pecjax.training.program import Iterate, compile_iteration, start
-from pecjax.training.rows import PATH_ARRAYS
+from pecjax.training.rows import RECORDING_ARRAYS
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.settings import RunSettings
 from pecjax.training.sinks import Progress
@@ -75,9 +75,9 @@ def settings_as_started(session: Session) -> RunSettings:
 def _roll_back(session: Session, done: int) -> None:
     """Removes what a run of which so many iterations are done would not have."""
     settings, directory, progress = session.settings, session.directory, session.progress
-    if done in directory.iterations("episodes"):  # only the last evaluation of a run keeps its paths
+    if done in directory.iterations("episodes"):  # only the last evaluation of a run keeps its recording
         kept = directory.arrays("episodes", done)
-        directory.write_arrays("episodes", done, {n: kept[n] for n in kept if n not in PATH_ARRAYS})
+        directory.write_arrays("episodes", done, {n: kept[n] for n in kept if n not in RECORDING_ARRAYS})
     directory.remove("summary.json")
     evaluated, counted = (
         lambda row, due=due: row <= done and due(settings, row) for due in (is_evaluated, is_counted)

@@ -31,13 +31,13 @@ SHORT = {
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """How policies are compared.
+    """How policies are evaluated.
 
     Attributes:
-        every: iterations between evaluations, each saved as a checkpoint.
-        episodes: of each, spread evenly over the configurations.
+        every: iterations between evaluations; each saves a checkpoint.
+        episodes: episodes of an evaluation, spread evenly over the configurations.
         seed: the same for all runs, so that they are paired.
-        greedy: whether evaluations take the most likely action; else they draw, as training does.
+        greedy: whether evaluations take the most likely action; otherwise they draw, as training does.
     """
 
     every: int = 50
@@ -48,12 +48,12 @@ class EvaluationSettings:
 
 @dataclass(frozen=True)
 class StopSettings:
-    """When a training ends; no iteration depends on it.
+    """When a training ends. The iterations themselves do not depend on it.
 
     Attributes:
-        iterations: how many to train for, at most.
-        until_goal_ratio: the training goal ratio to stop at, once `patience` iterations in a row
-            have reached it; None to train to the end.
+        iterations: the most iterations to train for.
+        until_goal_ratio: stops once `patience` iterations in a row have reached this training goal ratio;
+            None to train to the end.
         patience: iterations in a row, for `until_goal_ratio`.
     """
 
@@ -64,16 +64,16 @@ class StopSettings:
 
 @dataclass(frozen=True)
 class RunSettings:
-    """Everything that a run depends on, but for the content of the files that its task reads.
+    """Everything that a run depends on, except the content of the files that its task reads.
 
     Attributes:
-        preset: the name these settings began from.
+        preset: name of the preset that these settings started from.
         task: what is learned, and in which configurations.
         sampler: how the next configuration is chosen.
         agent: the learner.
         evaluation: how it is evaluated.
         stop: when it ends.
-        seed: of everything random in training.
+        seed: for everything random in training.
         configurations_every: iterations between files in `configurations/`.
     """
 
@@ -88,7 +88,7 @@ class RunSettings:
 
 
 def check_settings(settings: RunSettings) -> None:
-    """Makes sure that the settings can be run with; the samplers check their numbers themselves.
+    """Makes sure that the settings can be run; the samplers check their numbers themselves.
 
     Raises:
         InputError: the first setting that cannot.

@@ -1,4 +1,4 @@
-"""Training: a run from scratch, or resumed where it was stopped."""
+"""Training: runs from scratch or resumes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def train(
     """Trains from scratch and writes the run directory.
 
     Args:
-        folder: where to; must be empty or not there.
+        folder: the run's folder, which must be empty or not exist.
         devices: how many share the environments, all that divide them when None.
         sinks: further listeners.
 
@@ -40,7 +40,7 @@ def train(
         the content of summary.json.
 
     Raises:
-        InputError: anything the user can put right; nothing has been written then.
+        InputError: wrong input; nothing has been written then.
         StoppedError: a signal asked for it; `resume` continues it.
         DivergedError: a figure that is not finite.
         LostProcessError: one of several processes is gone (see `distributed.join`).
@@ -49,6 +49,7 @@ def train(
     with ending_together(_how_to_resume(folder)):
         with synchronized(settings):
             check_settings(settings)
+            _check(sinks)
             num_devices = choose_num_devices(devices, settings.agent.device_divisor)
             check_free(folder)
             build(settings, num_devices)
@@ -77,6 +78,7 @@ def resume(
     with ending_together(_how_to_resume(folder)):
         with synchronized(settings):
             check_settings(settings)
+            _check(sinks)
             directory.check_version()
             differing = directory.differences(settings)
             if differing:
@@ -87,6 +89,11 @@ def resume(
                 devices = before
             num_devices = choose_num_devices(devices, settings.agent.device_divisor)
         return _go(settings, directory, num_devices, sinks, is_resumed=True)
+
+
+def _check(sinks: Sequence[Sink]) -> None:
+    for sink in sinks:
+        sink.check()
 
 
 def _how_to_resume(folder: Path) -> str:
@@ -129,7 +136,7 @@ def _introduce(
     is_resumed: bool,
     notices: Sequence[str],
 ) -> None:
-    """Says what is trained, on what."""
+    """Prints what is trained, and on which devices."""
     agent, num_devices, available = settings.agent, run.mesh.devices.size, len(jax.devices())
     advice = "" if is_resumed else advice_on_idle_devices(agent.num_envs, agent.device_divisor, num_devices)
     on = f"{num_devices} of {available} devices{advice}" if available > 1 else "1 device"

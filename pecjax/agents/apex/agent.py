@@ -65,6 +65,17 @@ def explore(values: jax.Array, epsilon: jax.Array, uniform: jax.Array) -> jax.Ar
     return jnp.where(uniform < epsilon, anything, jnp.argmax(values, axis=-1).astype(jnp.int32))
 
 
+def make_network(task: Task, settings: Apex) -> QNetwork:
+    """The network that fits the task; `Learner.params` are its parameters.
+
+    Raises:
+        InputError: its actions are not discrete.
+    """
+    if not isinstance(task.action_space, Discrete):
+        raise InputError(f"apex needs discrete actions, not {task.action_space}; choose the agent ppo")
+    return QNetwork(settings.network, task.action_space.num_actions)
+
+
 def make(task: Task, sampler: Sampler, settings: Apex, axis_name: str | None = None) -> Agent:
     """See `AgentSettings.make`.
 
@@ -73,10 +84,8 @@ def make(task: Task, sampler: Sampler, settings: Apex, axis_name: str | None = N
     the value that is bootstrapped from is the one estimated when the step was taken.
     """
     settings.check()
-    if not isinstance(task.action_space, Discrete):
-        raise InputError(f"apex needs discrete actions, not {task.action_space}; choose the agent ppo")
     space = task.observation_space
-    network = QNetwork(settings.network, task.action_space.num_actions)
+    network = make_network(task, settings)
     optimizer = make_optimizer(settings)
     num_envs, n_step, num_shards = settings.num_envs, settings.n_step, settings.replay.num_shards
     num_rounds = settings.num_steps // settings.rollout_length

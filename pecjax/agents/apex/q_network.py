@@ -1,4 +1,4 @@
-"""Q-network: an observation becomes the values of the actions."""
+"""Q-network: from an observation to the values of the actions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class QNetworkSettings:
     """Settings of the dueling network (Wang et al. 2016).
 
     Attributes:
-        trunk: widths of the tanh layers before it parts.
+        trunk: widths of the tanh layers that both parts share.
         head: width of the relu layer of either part.
     """
 

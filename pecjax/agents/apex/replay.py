@@ -22,7 +22,7 @@ class ReplaySettings:
             depends on them, and so not on the devices that they are spread over.
         alpha: α, how far priorities matter: P ∝ pᵅ.
         beta: β of the importance weights.
-        epsilon: what is added to |TD error| for a priority.
+        epsilon: added to the absolute TD error to make a priority.
         stratified: see `sum_tree.draw`.
         normalize: what importance weights are divided by: the greatest of the shard's part of the
             `batch`, or the greatest that any transition in the `shard` would have (RLlib 0.8.5;

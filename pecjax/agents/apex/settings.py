@@ -18,21 +18,20 @@ class Apex(AgentSettings):
     """Ape-X DQN (Horgan et al. 2018); the defaults are the preset `apex-fast`.
 
     Attributes:
-        num_actors: W, the ε that there are, dealt out to the environments in turn.
+        num_actors: W, the number of different ε, given to the environments in turn.
         epsilon, epsilon_exponent: actor i explores with ε^(1 + exponent · i / (W − 1)).
         rollout_length: steps of every environment between two rounds of learning.
         n_step, discount: n and γ.
         batch_size: transitions of one update, over all shards.
         replay_ratio: transitions trained on for each environment step.
         learning_starts: environment steps before the first update.
-        target_period: the target network is copied once more than so many transitions have been
-            trained on since.
+        target_period: the target network is copied after training on more than this many transitions.
         learning_rate, adam_eps, max_grad_norm: of Adam, with a bound on each array's gradient.
-        decay_updates: updates over which the rate falls evenly to a tenth, where it stays; None
+        decay_updates: updates over which the learning rate falls linearly to a tenth, where it stays; None
             for a constant rate.
-        huber_delta: |TD error| from which on the loss is linear.
-        reward_scale: what rewards are multiplied with for the learner.
-        network, replay: theirs.
+        huber_delta: the absolute TD error above which the loss is linear.
+        reward_scale: the learner's rewards are multiplied by this.
+        network, replay: their settings.
     """
 
     num_actors: int = 8

@@ -1,4 +1,4 @@
-"""Ape-X's update: what batches drawn from the replay do to the parameters and the priorities."""
+"""Ape-X's update of parameters and priorities by batches from the replay."""
 
 from __future__ import annotations
 

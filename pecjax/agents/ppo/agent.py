@@ -25,14 +25,24 @@ from pecjax.envs.task import Task, World, num_configs
 from pecjax.errors import InputError
 
 
+def make_network(task: Task, settings: PPO) -> ActorCritic:
+    """The networks that fit the task; `Learner.params` are their parameters.
+
+    Raises:
+        InputError: they do not fit.
+    """
+    shapes = image_shapes(task.observation_space)
+    if settings.network.encoder == "cnn" and not shapes:
+        raise InputError("the encoder cnn needs an image among the observations; choose mlp")
+    return ActorCritic(settings.network, make_distribution(task.action_space).num_params, shapes)
+
+
 def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = None) -> Agent:
     """See `AgentSettings.make`."""
     settings.check()
     space = task.observation_space
-    if settings.network.encoder == "cnn" and not image_shapes(space):
-        raise InputError("the encoder cnn needs an image among the observations; choose mlp")
     distribution = make_distribution(task.action_space)
-    network = ActorCritic(settings.network, distribution.num_params, image_shapes(space))
+    network = make_network(task, settings)
     optimizer = make_optimizer(settings)
 
     def init(key: jax.Array, world: World, numbers: Mapping[str, jax.Array] | None = None) -> TrainState:

@@ -21,7 +21,7 @@ class PPO(AgentSettings):
     """Proximal policy optimisation (Schulman et al. 2017); the defaults are the preset `fast`.
 
     Attributes:
-        num_epochs, num_minibatches: passes over the batch, and parts that each is cut into.
+        num_epochs, num_minibatches: passes over the batch, and minibatches of each pass.
         shuffle: what a minibatch is drawn from: `steps` takes whole time steps of all
             environments, drawn anew each epoch, and copies nothing between devices; `samples`
             shuffles all samples once, drops the remainder and then only changes the minibatches'
@@ -33,11 +33,11 @@ class PPO(AgentSettings):
         value_coeff, entropy_coeff: weights of the squared value error and of the entropy.
         kl_coeff: initial weight of KL(old ‖ new); None leaves the term out. It is adapted after
             each iteration: × 1.5 over 2 × `kl_target`, × 0.5 under half of it.
-        reward_scale: what rewards are multiplied with for the learner.
-        signal: what a sampler hears of each episode, in units of the reward: the mean over its steps of the
-            advantage where it is positive, of its absolute value, of how far it is negative, of how far it is
-            negative with the best in between kept, or of the value.
-        network: of actor and critic.
+        reward_scale: the learner's rewards are multiplied by this.
+        signal: the score of each episode for a sampler, in units of the reward. It is the mean over the
+            episode's steps of the advantage where it is positive, of its absolute value, of how far it is
+            negative, of how far it is negative with the best in between kept, or of the value.
+        network: settings of actor and critic.
     """
 
     num_epochs: int = 4

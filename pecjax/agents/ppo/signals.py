@@ -1,4 +1,4 @@
-"""Signals: what PPO tells a sampler of every step of an episode."""
+"""Signals: PPO's score of every step of an episode, for samplers."""
 
 from __future__ import annotations
 

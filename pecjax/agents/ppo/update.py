@@ -1,4 +1,4 @@
-"""PPO's update: what one batch does to the parameters."""
+"""PPO's update of the parameters by one batch."""
 
 from __future__ import annotations
 

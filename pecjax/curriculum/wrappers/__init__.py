@@ -1,4 +1,4 @@
-"""The curriculum in other people's loops.
+"""The curriculum in other training loops.
 
-Each module needs its library, and none is loaded before it is used.
+Each module needs its own library and is loaded only when it is used.
 """

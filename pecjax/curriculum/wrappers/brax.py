@@ -28,7 +28,7 @@ class CurriculumState(NamedTuple):
 
     Attributes:
         sampler: the sampler's state, the same on all devices.
-        key: of all that is drawn, another one on every device.
+        key: for all draws, different on every device.
         step: () int32, steps since the first reset.
     """
 
@@ -47,12 +47,12 @@ def curriculum_wrap(
     callback: Callable[[Any], None] | None = None,
     every: int = 1000,
 ) -> Callable[..., Wrapper]:
-    """A function to take the place of `brax.envs.training.wrap`: episodes are reset to rows of a table.
+    """Makes a replacement of `brax.envs.training.wrap` that resets episodes to rows of a table.
 
     Every step of all environments is one batch of outcomes, with lengths and returns. In training, where
     Brax names the axis of its devices, these are summed over all of them. Brax's evaluator names no axis
     and resets before every evaluation: it flies in configurations drawn by the sampler's first state,
-    uniformly as long as nothing has been tried, and the training's counts hear nothing of it.
+    uniformly as long as nothing has been tried. The training's counts do not change by it.
 
     `info["config_id"]` (B,) int32 is the row of the running episode. `num_resets_per_eval` above 0 makes
     Brax reset the training's environments too, and with them the sampler.
@@ -65,7 +65,7 @@ def curriculum_wrap(
         table: the N configurations, a pytree of arrays (N, ...).
         reset_to: (environment, row of the table, key) -> the first state of one episode. The environment
             is what the trainer was given.
-        failed: (state) -> (B,) bool, of the batched state with which episodes end, before any reset.
+        failed: (state) -> (B,) bool, for the batched state in which episodes end, before any reset.
         system: (system, row of the table) -> system: the physics of each configuration. Systems are the
             environment's `sys`, or Playground's `mjx_model`.
         callback: (sampler's state, of NumPy arrays) -> None; called in training by the first device. It
@@ -76,8 +76,8 @@ def curriculum_wrap(
         (env, episode_length=1000, action_repeat=1, randomization_fn=None) -> the wrapped environment.
 
     Raises:
-        InputError: the table has not as many rows as the sampler has configurations, or `every` is below 1;
-            later `randomization_fn` is given, or no system is found, or `failed` gives another shape.
+        InputError: the table and the sampler differ in size, or `every` is below 1. Raised later if
+            `randomization_fn` is given too, no system is found, or `failed` returns another shape.
     """
     expected = num_configs_of(sampler)
     if num_configs(table) != expected:
@@ -102,7 +102,7 @@ def curriculum_wrap(
 
 
 class CurriculumWrapper(Wrapper):
-    """In place of Brax's `AutoResetWrapper`: what has ended goes on in rows that the sampler draws."""
+    """Replaces Brax's `AutoResetWrapper`: new episodes begin in rows that the sampler draws."""
 
     def __init__(
         self,

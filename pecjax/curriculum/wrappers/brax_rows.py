@@ -1,4 +1,4 @@
-"""Brax environments in rows of a table: where their episodes begin, and the physics that these are under."""
+"""Brax environments in rows of a table: where their episodes begin, and with which physics."""
 
 from __future__ import annotations
 

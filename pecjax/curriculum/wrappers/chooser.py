@@ -1,4 +1,4 @@
-"""A sampler on the host, for loops that are no program of JAX: NumPy's, PyTorch's, Gymnasium's."""
+"""A sampler on the host, for loops that are not JAX programs: NumPy's, PyTorch's, Gymnasium's."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pecjax.errors import InputError
 
 
 class Chooser:
-    """Holds a sampler's state, draws configurations, and hears what became of them. All on the CPU.
+    """Holds a sampler's state, draws configurations and takes their outcomes, all on the CPU.
 
     Example:
         chooser = Chooser(pec(50), {"length": np.linspace(0.2, 2.0, 50)})
@@ -25,15 +25,14 @@ class Chooser:
         ...
         chooser.update(Outcomes(ids, done, failed))
 
-    A checkpoint of it is `state` and `draws`: both can be read and set.
+    Save and restore `state` and `draws` to checkpoint it.
 
-    It belongs to the process that made it, and refuses work in any other, where a copy of it would count
-    for itself.
+    It works only in the process that made it: a copy in another process would keep its own counts.
 
     Attributes:
-        sampler: what it holds the state of.
+        sampler: the sampler whose state it holds.
         num_configs: N.
-        draws: int, how often it has drawn; with the seed it says what is drawn next.
+        draws: int, how often it has drawn. With the seed it determines the next draw.
     """
 
     def __init__(self, sampler: Sampler, table: Mapping[str, Any], seed: int = 0) -> None:
@@ -44,7 +43,7 @@ class Chooser:
             seed: of all draws.
 
         Raises:
-            InputError: a table whose arrays differ in length, or do not fit the sampler.
+            InputError: the table's arrays differ in length or do not fit the sampler.
         """
         self._process = os.getpid()
         self._cpu = jax.local_devices(backend="cpu")[0]
@@ -72,7 +71,7 @@ class Chooser:
         """The sampler's state, a pytree of arrays.
 
         Raises:
-            InputError: set to one that is not of this sampler.
+            InputError: it is set to a state of another sampler.
         """
         return self._state
 
@@ -88,17 +87,17 @@ class Chooser:
         """Draws configurations: (number,) int32.
 
         Raises:
-            InputError: this is another process than the one that made it.
+            InputError: this is not the process that made it.
         """
         self._check_process()
         self.draws += 1
         return np.asarray(self._sample(self._state, self.draws, number))
 
     def update(self, outcomes: Outcomes) -> None:
-        """Tells the sampler what became of some environments.
+        """Updates the sampler with the outcomes of some episodes.
 
         Raises:
-            InputError: outcomes that cannot be meant, or another process.
+            InputError: impossible outcomes, or another process.
         """
         self._check_process()
         counted = check_outcomes(outcomes, self.num_configs)

@@ -1,6 +1,6 @@
 """The curriculum in loops over environments of Gymnasium, and so in Stable-Baselines3.
 
-A configuration is what `reset(options=…)` is given: a row of a table of arrays by name. For environments with
+A configuration is passed as `reset(options=…)`: a row of a table of arrays by name. For environments with
 physics of their own, a `gymnasium.Wrapper` of a few lines reads the options in `reset`
 (`examples/stable_baselines3_cartpole.py`).
 """
@@ -32,8 +32,8 @@ class CurriculumWrapper(gymnasium.Wrapper):
         chooser = Chooser(pec(50), {"length": np.linspace(0.2, 2.0, 50)})
         envs = make_vec_env(lambda: CurriculumWrapper(gym.make(…), chooser, failed=…), n_envs=8)
 
-    `info` gains `config_id`, the configuration of the episode that it belongs to. An episode that is given
-    up by a reset does not count.
+    `info` gains `config_id`, the configuration of the episode that it belongs to. An episode that a reset
+    cuts short does not count.
     """
 
     def __init__(self, env: gymnasium.Env, chooser: Chooser, *, failed: Failed) -> None:
@@ -57,7 +57,7 @@ class CurriculumWrapper(gymnasium.Wrapper):
         return observation, self._told(info)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """One step; where it is an episode's last, the chooser hears what became of it.
+        """One step; after an episode's last step the chooser gets its outcome.
 
         Raises:
             InputError: `failed` says neither true nor false.
@@ -78,8 +78,8 @@ class CurriculumWrapper(gymnasium.Wrapper):
 class CurriculumVectorWrapper(VectorWrapper):
     """Environments side by side, each of whose episodes is in a configuration that a sampler draws.
 
-    For `SyncVectorEnv` and `AsyncVectorEnv` that do not reset by themselves: the wrapper resets what has
-    ended within the same step, as `AutoresetMode.SAME_STEP` does. Other vector wrappers go around it.
+    For `SyncVectorEnv` and `AsyncVectorEnv` that do not reset by themselves. The wrapper resets ended
+    episodes within the same step, as `AutoresetMode.SAME_STEP` does. Other vector wrappers go around it.
 
         envs = gym.make_vec(…, vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED})
         envs = CurriculumVectorWrapper(envs, pec(50), {"length": np.linspace(0.2, 2.0, 50)}, failed=…)
@@ -140,7 +140,7 @@ class CurriculumVectorWrapper(VectorWrapper):
         return observations, self._batched(told)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """One step everywhere; the sampler hears what has ended, and draws what begins.
+        """One step everywhere; the sampler gets the outcomes of ended episodes and draws the next ones.
 
         Raises:
             InputError: `failed` says neither true nor false.

@@ -14,7 +14,7 @@ from pecjax.errors import InputError
 
 
 class CurriculumParams(NamedTuple):
-    """What stands where gymnax has an environment's `EnvParams`.
+    """The params of a `Curriculum`, in place of an environment's `EnvParams`.
 
     Attributes:
         table: `EnvParams` whose leaves have a leading axis N; `pecjax.envs.gymnax.params_table` makes one.
@@ -42,19 +42,19 @@ class CurriculumState(NamedTuple):
 
 
 class Curriculum(Environment):
-    """An environment of gymnax 1.0 or later, each of whose episodes is in a configuration drawn anew.
+    """An environment of gymnax 1.0 or later whose every episode is in a newly drawn configuration.
 
-    It is one of gymnax itself: `reset` and `step` have gymnax's signature, and gymnax's wrappers go around
-    it. Batch it by `jax.vmap` with the params unbatched. The sampler stays outside; its probabilities are
-    renewed once a batch:
+    It is a gymnax environment too: `reset` and `step` have gymnax's signature, and gymnax's wrappers can go
+    around it. Batch it by `jax.vmap` with the params unbatched. The sampler stays outside; its
+    probabilities are renewed once a batch:
 
         env = Curriculum(env)
         params = CurriculumParams(table, sampler.probabilities(state))
         ...  # a batch of steps under these params
         state = sampler.update(state, Outcomes(info["config_id"], done, failed))
 
-    A step's `info` gains what `Outcomes` wants to know of the episode that the step belonged to, also where
-    it was its last: `config_id`, `episode_length` and `episode_return`, this step included.
+    A step's `info` gains what `Outcomes` needs about the episode of that step, its last step included:
+    `config_id`, `episode_length` and `episode_return`.
     """
 
     def __init__(self, env: Any) -> None:
@@ -81,7 +81,7 @@ class Curriculum(Environment):
         """The first observation and state of an episode in a row that is drawn here.
 
         Raises:
-            InputError: params that are no `CurriculumParams`, or a probability too many or too few.
+            InputError: the params are not `CurriculumParams`, or the number of probabilities is wrong.
         """
         key_row, key_reset = jax.random.split(key)
         _check(params)

@@ -128,15 +128,14 @@ class RoomsTask(Task):
         if pending is not None:
             queue = jnp.concatenate([jnp.asarray(action, jnp.int32)[None], pending])
             action, pending = queue[config.latency], queue[:-1]
-        speed = jnp.asarray(SPEEDS, jnp.float32)[action // len(YAW_RATES)]
-        yaw_rate = jnp.asarray(YAW_RATES, jnp.float32)[action % len(YAW_RATES)]
+        command = self.command(action)
         before = DroneState(state.qpos, state.qvel)
         drone, nearest = fly(
             self.vehicle,
             pick(params.bank, config.map_id),
             settings.gains,
             before,
-            Command(speed, yaw_rate, settings.flight_height),
+            command,
             self.physics_steps,
             Conditions(_air(config.wind, gust), settings.drag, config.payload, config.motor_strength),
         )
@@ -151,7 +150,9 @@ class RoomsTask(Task):
         progress, goal = advance(config, state.progress, near, self.hold_steps)
         goal &= ~collision
         timeout = (step_count >= settings.max_steps) & ~goal & ~collision
-        idle = (speed == 0) if progress is None else (speed == 0) & ~is_holding(config, progress)
+        idle = command.speed == 0
+        if progress is not None:
+            idle &= ~is_holding(config, progress)
         hover_count = idle * (state.hover_count + 1)
         reward = (
             settings.step_reward
@@ -175,6 +176,12 @@ class RoomsTask(Task):
                 "path_length": jnp.linalg.norm(drone.qpos[:2] - before.qpos[:2]),
             },
         )
+
+    def command(self, action: jax.Array) -> Command:
+        """What an action asks of the controller."""
+        speed = jnp.asarray(SPEEDS, jnp.float32)[action // len(YAW_RATES)]
+        yaw_rate = jnp.asarray(YAW_RATES, jnp.float32)[action % len(YAW_RATES)]
+        return Command(speed, yaw_rate, self.settings.flight_height)
 
     def observe(self, key: jax.Array, state: RoomsState, params: RoomsParams) -> dict[str, jax.Array]:
         """What `sense` gives, scaled (see `sensing.scale`)."""
@@ -205,9 +212,9 @@ class RoomsTask(Task):
             return table.replace(objective=np.full(table.size, REACH, np.int32))
         return table
 
-    def position(self, state: RoomsState) -> jax.Array:
-        """(2,) m, seen from above."""
-        return state.qpos[..., :2]
+    def pose(self, state: RoomsState) -> jax.Array:
+        """Position m and attitude quaternion w-x-y-z of the drone, (7,)."""
+        return state.qpos
 
 
 def _air(wind: jax.Array | None, gust: jax.Array | None) -> jax.Array | None:

@@ -1,10 +1,9 @@
-"""Sinks: who listens to the loop, and what a person sees of it."""
+"""The sink that a person sees: a progress bar, or a line every few seconds."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -12,67 +11,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress as Bar, TextCo
 
 from pecjax.runtime.distributed import is_primary
 from pecjax.storage.files import Row
+from pecjax.training.sinks.base import Sink
 
 SECONDS_BETWEEN_LINES = 10.0  # where there is no terminal to draw a bar on
 
 
-class Sink:
-    """A listener: extend it and overwrite what is of interest.
-
-    Where several processes share a training, each has sinks; only the first should write.
-    """
-
-    def open(self, runs: Sequence[str], iteration: int) -> None:
-        """The runs start, or resume after so many iterations."""
-
-    def rows(self, table: str, rows: Sequence[Row]) -> None:
-        """One row of each run: of the table `metrics` after every iteration, of `evaluation` when due."""
-
-    def arrays(self, name: str, iteration: int, arrays: Sequence[dict[str, Any]]) -> None:
-        """Arrays of each run: `configurations` (see `rows.configuration_arrays`) or `episodes`, when due."""
-
-    def close(self) -> None:
-        """The loop has ended, or was stopped."""
-
-
-class Sinks(Sink):
-    """Several sinks as one, open while it is entered."""
-
-    def __init__(self, sinks: Sequence[Sink], runs: Sequence[str], iteration: int) -> None:
-        """See `Sink.open`."""
-        self._sinks = sinks
-        self._started = runs, iteration
-
-    def __enter__(self) -> Sinks:
-        self.open(*self._started)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def open(self, runs: Sequence[str], iteration: int) -> None:
-        """Opens all."""
-        for sink in self._sinks:
-            sink.open(runs, iteration)
-
-    def rows(self, table: str, rows: Sequence[Row]) -> None:
-        """Tells all."""
-        for sink in self._sinks:
-            sink.rows(table, rows)
-
-    def arrays(self, name: str, iteration: int, arrays: Sequence[dict[str, Any]]) -> None:
-        """Tells all."""
-        for sink in self._sinks:
-            sink.arrays(name, iteration, arrays)
-
-    def close(self) -> None:
-        """Closes all."""
-        for sink in self._sinks:
-            sink.close()
-
-
 class Progress(Sink):
-    """A live bar over iterations on a terminal, else a line every few seconds, both on stderr."""
+    """A progress bar on a terminal, otherwise a line every few seconds; both on stderr."""
 
     def __init__(self, iterations: int, episodes: str = "") -> None:
         """Prepares a bar of so many iterations; it shows with the first row.
@@ -110,7 +55,7 @@ class Progress(Sink):
         self._console.print(line, markup=False)
 
     def skip(self, iterations: int) -> None:
-        """Counts so many iterations as done, without a word about how long they took."""
+        """Counts some iterations as done, without using them for the pace."""
         self._done += iterations
         if self._since:
             since, before = self._since
