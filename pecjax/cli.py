@@ -18,6 +18,7 @@ from pecjax.commands.evaluate import Eval
 from pecjax.commands.export import Export
 from pecjax.commands.figures import Figures
 from pecjax.commands.maps import ACTIONS, Maps
+from pecjax.commands.new_map import NewMap
 from pecjax.commands.options import read
 from pecjax.commands.spaces import Spaces
 from pecjax.commands.study import Study
@@ -35,6 +36,7 @@ Command = (
     | Annotated[Figures, tyro.conf.subcommand("figures")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[NewMap, tyro.conf.subcommand("new-map")]
     | Annotated[Maps, tyro.conf.subcommand("maps")]
     | Annotated[Spaces, tyro.conf.subcommand("spaces")]
 )

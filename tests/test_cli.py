@@ -266,7 +266,7 @@ def test_bad_scenes(name, command, edited_rooms, refused):
         (b"\xff\xfe\x00\x01", "not XML"),
         (b"", "not XML"),
         (b"<html/>", "MuJoCo cannot compile it"),
-        (b"<mujoco/>", "no body named 'drone'"),
+        (b"<mujoco/>", "no wall; the map needs at least one box"),
     ],
 )
 def test_scene_files_that_are_none(content, words, command, tmp_path, refused):

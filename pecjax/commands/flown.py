@@ -29,7 +29,7 @@ class Flown:
         space: a named space, or the file of one. (default: the run's own)
         split: train or held-out, of a space. (default: held-out)
         coordinates: the paper's set 1 or 2, or a file of configurations. (default: the run's own)
-        scene: maps with their drone in MJCF, files or folders. (default: the run's own)
+        scene: maps as MJCF or text plans (.txt), files or folders. (default: the run's own)
     """
 
     folder: tyro.conf.Positional[Path]

@@ -49,7 +49,7 @@ class Study:
         iterations: of each run. (default: the study's, or the preset's where one is given)
         evaluate_every: iterations between evaluations. (default: as for the iterations)
         task: what is learned: rooms, or one of your own as my.module:Class. (default: rooms)
-        scene: maps with their drone in MJCF, files or folders. (default: the paper's six rooms)
+        scene: maps as MJCF or text plans (.txt), files or folders. (default: the paper's six rooms)
         parallel_runs: runs in one program. (default: as many as there are devices)
         grid: another setting to vary, and its values: agent.learning_rate 1e-4 3e-4, or sampler.half_life 3
             10; may be given several times.

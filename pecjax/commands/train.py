@@ -32,9 +32,10 @@ class Train:
         sampler: how the next configuration is chosen: pec, uniform, table_top or another of
             docs/samplers.md, or one of your own as my.module:Class. (default: the preset's)
         alpha: α of PEC, 0 or more; the larger, the nearer to uniform. (default: 0.2)
-        coordinates: the paper's set 1 or 2, or a file of configurations; --task.table. (default: 1)
-        scene: maps with their drone in MJCF, files or folders; --task.maps. (default: the paper's six
-            rooms)
+        coordinates: the paper's set 1 or 2, or a file of configurations; --task.table. (default: what the
+            maps mark, else 1)
+        scene: maps as MJCF or text plans (.txt), files or folders; --task.maps. (default: the paper's
+            six rooms)
         seed: of everything random in training. (default: 0)
         iterations: how many to train for. (default: the preset's)
         until_goal_ratio: stops once --patience iterations in a row have reached this training goal

@@ -157,7 +157,7 @@ def _text(value: Any) -> Any:
 
 def space_name(settings: RunSettings) -> str:
     """What tables call the configurations of a run: its space, its task's table, or the task."""
-    named = (getattr(settings.task, name, None) for name in ("space", "table"))
+    named = (getattr(settings.task, name, None) for name in ("space", "table_name"))
     return next((str(name) for name in named if name is not None), kind_name(settings.task))
 
 

@@ -65,7 +65,7 @@ def sampler_label(sampler: SamplerSettings) -> str:
 def run_label(settings: Any) -> str:
     """What a RunSettings is of, for people: sampler, agent, task and seed."""
     task, agent = kind_name(settings.task), kind_name(settings.agent)
-    table, space = (getattr(settings.task, name, None) for name in ("table", "space"))
+    table, space = (getattr(settings.task, name, None) for name in ("table_name", "space"))
     if isinstance(space, str):
         task = space.rpartition("/")[2]
     else:

@@ -107,10 +107,12 @@ def _go(
     sinks: Sequence[Sink],
     is_resumed: bool,
 ) -> dict[str, Any]:
-    folder = directory.folder
+    folder, given = directory.folder, settings.task
     with synchronized():  # each reads what the first has written
         settings = dataclasses.replace(settings, task=settings.task.kept_in(folder))
         run = build(settings, num_devices)
+    # The files that a run keeps no longer show what was added to those that it was given.
+    notices = (settings.task if is_resumed else given).notices(run.task, run.world)
     about = settings.evaluation
     episodes = f"{about.episodes} {'greedy' if about.greedy else 'sampled'} episodes"
     with (
@@ -118,7 +120,7 @@ def _go(
         Progress(settings.stop.iterations, episodes) as progress,
         Interruption() as interruption,
     ):
-        _introduce(settings, run, directory, progress, is_resumed)
+        _introduce(settings, run, directory, progress, is_resumed, notices)
         session = Session(settings, run, directory, progress, Clock())
         with writing(folder, f"put that right and {_how_to_resume(folder)}"):
             position, iterate = resumed(session) if is_resumed else started(session)
@@ -127,14 +129,19 @@ def _go(
 
 
 def _introduce(
-    settings: RunSettings, run: Run, directory: RunDirectory, progress: Progress, is_resumed: bool
+    settings: RunSettings,
+    run: Run,
+    directory: RunDirectory,
+    progress: Progress,
+    is_resumed: bool,
+    notices: Sequence[str],
 ) -> None:
     """Prints what is trained, and on which devices."""
     agent, num_devices, available = settings.agent, run.mesh.devices.size, len(jax.devices())
     advice = "" if is_resumed else advice_on_idle_devices(agent.num_envs, agent.device_divisor, num_devices)
     on = f"{num_devices} of {available} devices{advice}" if available > 1 else "1 device"
     progress.say(f"{directory.folder}: {agent.num_envs} environments on {on}")
-    for line in settings.task.notices(run.task, run.world):
+    for line in notices:
         progress.say(f"notice: {line}")
     if run.agent.replay_bytes:
         progress.say(f"replay: {run.agent.replay_bytes / 1e6:,.0f} MB")

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
+from pecjax.envs.rooms.maps import MAX_WALLS
 from pecjax.envs.rooms.mjcf_file import MapFile
-from pecjax.envs.rooms.vehicle_file import collides, geom_kind
+from pecjax.envs.rooms.solids import is_along_axes, is_wall
+from pecjax.envs.rooms.vehicle_file import geom_kind
 from pecjax.errors import InputError
 
-MAX_WALLS = 1000  # each is a part of every step's program
 MAX_EXTENT = 1000  # m, from the origin
 MOST_COVERED = 0.5  # share of the map, from above, beyond which a box is a floor or a ceiling
+_APPROXIMATE = "give --task.approximate 0.05 to have boxes that reach at most 0.05 m beyond it"
 ENDLESS = 1e6  # m, where the half-space behind a plane ends
 
 
@@ -27,12 +29,15 @@ class Map:
             a box that ends `ENDLESS` m away.
         bounds: (2, 2) m, lower and upper corner in x and y of all walls, a plane's endless sides left out.
         names: W names, for messages and figures.
+        starts, goals: (S, 2) and (G, 2) m, places that the map marks as such.
     """
 
     lower: np.ndarray
     upper: np.ndarray
     bounds: np.ndarray
     names: tuple[str, ...]
+    starts: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    goals: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def covers(self) -> np.ndarray:
@@ -52,10 +57,9 @@ def read_map(map_file: MapFile, drone: int) -> Map:
     mujoco.mj_kinematics(model, data)
     boxes, names = [], []
     for geom in range(model.ngeom):
-        body = model.geom_bodyid[geom]
-        if body == drone or not collides(model, geom):
+        if not is_wall(model, geom, drone):
             continue
-        if model.body_weldid[body] != 0:
+        if model.body_weldid[model.geom_bodyid[geom]] != 0:
             raise InputError(f"{map_file.geom(geom)} collides on a mocap body; a wall must not move")
         boxes.append(_box(map_file, geom, data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)))
         names.append(model.geom(geom).name or f"geom {geom}")
@@ -70,7 +74,21 @@ def read_map(map_file: MapFile, drone: int) -> Map:
             f"{path}: wall '{names[wall]}' reaches beyond {MAX_EXTENT:,} m; make the map smaller"
         )
     lower, upper = corners[:, 0], corners[:, 1]
-    return Map(lower, upper, _bounds(path, lower, upper), tuple(names))
+    return Map(lower, upper, _bounds(path, lower, upper), tuple(names), *_marks(map_file, data, drone))
+
+
+def _marks(map_file: MapFile, data: mujoco.MjData, drone: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where the sites stand whose names begin with start and with goal."""
+    model = map_file.model
+    sites = [site for site in range(model.nsite) if model.site_bodyid[site] != drone]
+    starts, goals = (
+        data.site_xpos[[site for site in sites if model.site(site).name.startswith(mark)], :2]
+        for mark in ("start", "goal")
+    )
+    if bool(len(starts)) != bool(len(goals)):
+        there, missing = ("starts", "goal") if len(starts) else ("goals", "start")
+        raise InputError(f"{map_file.path}: marks {there} and no {missing}; mark both, or neither")
+    return starts, goals
 
 
 def _box(map_file: MapFile, geom: int, position: np.ndarray, axes: np.ndarray) -> np.ndarray:
@@ -79,15 +97,15 @@ def _box(map_file: MapFile, geom: int, position: np.ndarray, axes: np.ndarray) -
     if kind not in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_PLANE):
         raise InputError(
             f"{map_file.geom(geom)} collides and is a {geom_kind(kind)}; only boxes and planes can be "
-            'walls: build it of boxes (contype="0" conaffinity="0" would let the drone fly through it)'
+            f'walls: {_APPROXIMATE} (contype="0" conaffinity="0" would let the drone fly through it)'
         )
     right_angled = np.round(axes)
     along = np.abs(axes).max(axis=0)  # cosines of the angles to the nearest axes
-    if not np.allclose(along, 1.0, atol=1e-6):
+    if not is_along_axes(axes):
         off = np.degrees(np.arccos(np.clip(along, 0, 1)))
         raise InputError(
             f"{map_file.geom(geom)} collides and is turned {off.max():.3g}° off the axes; turn it by right "
-            "angles only, or build it of boxes that are not turned"
+            f"angles only, or {_APPROXIMATE}"
         )
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         half = np.abs(right_angled) @ map_file.model.geom_size[geom]

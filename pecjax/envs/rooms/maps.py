@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+MAX_WALLS = 1000  # of one map; each is a part of every step's program
 FEW_WALLS = 16  # up to which each wall is tested in one fused loop; of more, other ways are quicker
 FAR_AWAY = 1e9  # m, where boxes without size lie that fill up a map with fewer walls than others
 

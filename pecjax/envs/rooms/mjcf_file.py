@@ -1,7 +1,8 @@
-"""MJCF files from anyone: read within bounds, and nothing outside their folder."""
+"""Map files from anyone, MJCF or text plans: read within bounds, and nothing outside their folder."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,11 @@ from xml.parsers import expat
 import mujoco
 import numpy as np
 
+from pecjax.envs.rooms.approximation import approximate_shapes
+from pecjax.envs.rooms.default_drone import add_default_drone
 from pecjax.envs.rooms.mjcf_amounts import Amounts
 from pecjax.envs.rooms.mjcf_assets import leave_out_assets
+from pecjax.envs.rooms.text_plan import SUFFIX, read_text_plan
 from pecjax.errors import InputError
 
 MAX_BYTES = 2**20  # of one file
@@ -38,6 +42,7 @@ class MapFile:
         geom_places: where each geom of the model stands, "path, line 12"; the path alone where the
             line is not known.
         joints: (name, body, place) of each joint.
+        notices: what was added or put in the place of what the file says, for people.
     """
 
     path: Path
@@ -45,6 +50,7 @@ class MapFile:
     model: mujoco.MjModel
     geom_places: tuple[str, ...]
     joints: tuple[tuple[str, str, str], ...]
+    notices: tuple[str, ...] = ()
 
     def geom(self, number: int) -> str:
         """A geom's place and name, for messages."""
@@ -52,23 +58,36 @@ class MapFile:
         return f"{self.geom_places[number]}: geom " + (f"'{name}'" if name else f"{number}")
 
 
-def read_mjcf(path: Path) -> MapFile:
-    """Reads an MJCF file once it and all that it includes have been looked through.
+def read_mjcf(path: Path, approximate: float | None = None) -> MapFile:
+    """Reads an MJCF file or a text plan once it and all that it includes have been looked through.
 
-    What is flown is the map as it would be saved, so that a run and its saved map are the same.
+    What is flown is the map as it would be saved, so that a run and its saved map are the same. Walls alone
+    get the default drone.
+
+    Args:
+        approximate: m, how far boxes may reach beyond the shapes that they stand for (see
+            `approximation.approximate_shapes`); None to leave shapes as they are.
 
     Raises:
         InputError: it is missing, is no MJCF, declares entities, asks for absurd amounts, for files
-            outside its folder, or for files that it cannot do without.
+            outside its folder, for files that it cannot do without, or cannot be approximated so.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such scene file; give the path of an MJCF file")
-    looked_through = _LookThrough(path)
+    notices: list[str] = []
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        place = looked_through.place_of
-        leave_out_assets(spec, place)
-        _check_numbers(path, spec.compile())  # what is not finite would be left out of the text
+        spec, place = _open(path)
+        if _is_walls_alone(spec):
+            add_default_drone(spec)
+            if path.suffix != SUFFIX:
+                notices.append("there is no body named 'drone'; the drone of the six rooms is added")
+        leave_out_assets(spec, place, but_solid_meshes=approximate is not None)
+        model = spec.compile()
+        _check_numbers(path, model)  # what is not finite would be left out of the text
+        if approximate is not None:
+            notices += approximate_shapes(spec, model, approximate, place)
+            leave_out_assets(spec, place)
+            spec.compile()
         text = spec.to_xml()
         geoms = {geom.id: place("geom", geom) for geom in spec.geoms}
         joints = tuple((joint.name, joint.parent.name, place("joint", joint)) for joint in spec.joints)
@@ -79,7 +98,31 @@ def read_mjcf(path: Path) -> MapFile:
     except (ValueError, mujoco.FatalError) as error:
         raise InputError(f"{path}: MuJoCo cannot compile it: {error}") from error
     geom_places = tuple(geoms.get(geom, str(path)) for geom in range(model.ngeom))
-    return MapFile(path, text, model, geom_places, joints)
+    return MapFile(path, text, model, geom_places, joints, tuple(notices))
+
+
+def _open(path: Path) -> tuple[mujoco.MjSpec, Callable[[str, Any], str]]:
+    """What the file says, and where each of its elements stands."""
+    if path.suffix != SUFFIX:
+        looked_through = _LookThrough(path)
+        return mujoco.MjSpec.from_file(str(path)), looked_through.place_of
+    try:
+        text = _read_bytes(path).decode("utf-8-sig")
+    except (UnicodeDecodeError, OSError) as error:
+        raise InputError(f"{path}: cannot be read as text ({error}); give a text plan") from error
+    return read_text_plan(path, text), lambda *_: str(path)
+
+
+def _read_bytes(path: Path) -> bytes:
+    with path.open("rb") as opened:
+        content = opened.read(MAX_BYTES + 1)
+    if len(content) > MAX_BYTES:
+        raise InputError(f"{path}: is larger than {MAX_BYTES:,} bytes; a map is smaller")
+    return content
+
+
+def _is_walls_alone(spec: mujoco.MjSpec) -> bool:
+    return spec.body("drone") is None and not spec.joints and not spec.actuators
 
 
 def _check_numbers(path: Path, model: mujoco.MjModel) -> None:
@@ -129,11 +172,7 @@ class _LookThrough:
         parser.EndElementHandler = lambda _: self._amounts.end()
         parser.StartDoctypeDeclHandler = _refuse_doctype
         try:
-            with file.open("rb") as opened:
-                content = opened.read(MAX_BYTES + 1)
-            if len(content) > MAX_BYTES:
-                raise InputError(f"{file}: is larger than {MAX_BYTES:,} bytes; a map is smaller")
-            parser.Parse(content, True)
+            parser.Parse(_read_bytes(file), True)
         except (expat.ExpatError, ValueError, LookupError, OSError) as error:
             if isinstance(error, InputError):
                 raise

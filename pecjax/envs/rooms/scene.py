@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from pecjax.envs.rooms.default_drone import default_scene_path
 from pecjax.envs.rooms.map_file import Map, read_map
 from pecjax.envs.rooms.maps import Walls
 from pecjax.envs.rooms.mjcf_file import read_mjcf
@@ -25,12 +26,14 @@ class Scene:
         vehicle: the drone.
         map: the walls.
         text: the whole map as MJCF, as `mjcf_file.MapFile` has it.
+        notices: what was added or put in the place of what the file says, for people.
     """
 
     model: mujoco.MjModel
     vehicle: Vehicle
     map: Map
     text: str
+    notices: tuple[str, ...] = ()
 
     @property
     def wall_lower(self) -> np.ndarray:
@@ -53,27 +56,24 @@ class Scene:
         return self.vehicle.radius
 
 
-def default_scene_path() -> Path:
-    """The map of six rooms: inside the installed package, or in the checkout beside it."""
-    package = Path(__file__).resolve().parents[2]
-    shipped = package / "assets" / "rooms.xml"
-    return shipped if shipped.exists() else package.parent / "assets" / "rooms.xml"
-
-
 def load_scene(
-    path: str | Path | None = None, resolution: tuple[int, int] | None = None, like: Vehicle | None = None
+    path: str | Path | None = None,
+    resolution: tuple[int, int] | None = None,
+    like: Vehicle | None = None,
+    approximate: float | None = None,
 ) -> Scene:
-    """Reads a map and its drone from an MJCF file.
+    """Reads a map and its drone from an MJCF file or a text plan.
 
-    The file must hold one body named `drone` with a free joint, a collision sphere, a camera and
-    at least four site actuators; every other geom that can collide must be a box or a plane along the
-    axes and is a wall: it is both hit and seen. The numeric `depth_range` (near, far) is optional.
-    `docs/maps.md` has the details.
+    An MJCF file must hold one body named `drone` with a free joint, a collision sphere, a camera and
+    at least four site actuators, or nothing that moves: then the drone of the six rooms is added. Every
+    other geom that can collide must be a box or a plane along the axes and is a wall: it is both hit and
+    seen. The numeric `depth_range` (near, far) is optional. `docs/maps.md` has the details.
 
     Args:
-        path: the MJCF file; the six rooms of the paper when None.
+        path: the MJCF file or, as .txt, the text plan; the six rooms of the paper when None.
         resolution: (width, height) in pixels of the depth image, instead of the file's.
         like: the drone that it must have, of another map of the same task.
+        approximate: m; other shapes then become boxes that hold them and reach at most so far beyond.
 
     Raises:
         InputError: the file is missing, is not MJCF, or lacks one of the above; or a resolution of too
@@ -83,11 +83,11 @@ def load_scene(
         width, height = resolution
         if min(width, height) < 1 or width * height > MAX_PIXELS:
             raise InputError(f"resolution is {width}×{height}; 1 to {MAX_PIXELS:,} pixels are possible")
-    map_file = read_mjcf(default_scene_path() if path is None else Path(path))
+    map_file = read_mjcf(default_scene_path() if path is None else Path(path), approximate)
     model = map_file.model
     drone = find_drone(map_file)
     set_options(model)
     if resolution is not None:
         model.cam_resolution[:] = resolution
     walls = read_map(map_file, drone)
-    return Scene(model, read_vehicle(map_file, drone, like), walls, map_file.text)
+    return Scene(model, read_vehicle(map_file, drone, like), walls, map_file.text, map_file.notices)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -35,9 +37,12 @@ class Rooms(NavigationSettings, TaskSettings):
     """Flying through rooms (see `NavigationSettings` for its rules).
 
     Attributes:
-        table: the paper's set 1 or 2, or a file of configurations.
-        maps: MJCF files, or folders of them, in the order that a table counts them in; the paper's six
-            rooms where there are none.
+        table: the paper's set 1 or 2, or a file of configurations; None for the starts and goals that the
+            maps mark, or for set 1 where they mark none.
+        maps: MJCF files, folders of them, or text plans, in the order that a table counts them in; the
+            paper's six rooms where there are none.
+        approximate: metres by which boxes may reach beyond the shapes in the maps that they stand for;
+            None to have shapes other than boxes and planes refused.
         space: a named space (`pecjax spaces`), or the file of one, in place of a table: its training part is
             flown, and evaluations are of the part that is held out. Maps then say which drone flies, and
             where, if the space has no maps of its own.
@@ -48,8 +53,9 @@ class Rooms(NavigationSettings, TaskSettings):
     task_kind: ClassVar[type[RoomsTask]] = RoomsTask
     configurations_kind: ClassVar[type[Configurations]] = Configurations
 
-    table: str = "1"
+    table: str | None = None
     maps: tuple[str, ...] = ()
+    approximate: float | None = None
     space: str | None = None
     resolution: tuple[int, int] | None = None
 
@@ -66,7 +72,10 @@ class Rooms(NavigationSettings, TaskSettings):
         bank = None if self._space is None else self._space.maps
         if self._space is None or (bank is None and self.maps):
             source = self.table if self._space is None else None
-            check_configurations(maps, table, task.vehicle.radius, self.flight_height, source)
+            try:
+                check_configurations(maps, table, task.vehicle.radius, self.flight_height, source)
+            except InputError as error:
+                raise InputError(f"{error}{self._hint(maps)}") from None
         if bank is not None and task.vehicle.radius > RADIUS:
             raise InputError(
                 f"the drone has a radius of {task.vehicle.radius:g} m; the maps of space '{self.space}' are "
@@ -74,12 +83,27 @@ class Rooms(NavigationSettings, TaskSettings):
             )
         return task, World(RoomsParams(make_bank(maps) if bank is None else bank), table)
 
+    def _hint(self, maps: Sequence[Map]) -> str:
+        """What else to say of a configuration that cannot be flown: the paper's do not fit other maps."""
+        marked = self.table is None and _marked(maps) is not None
+        if self.space is not None or not self.maps or marked or self.table not in (None, "1", "2"):
+            return ""
+        return (
+            " (these are the paper's configurations; give your own with --coordinates, or mark starts and "
+            "goals in the map)"
+        )
+
+    @property
+    def table_name(self) -> str:
+        """What people know its configurations by, where it is of no space."""
+        return self.table or (self.maps[0] if self.maps else "1")
+
     @functools.cached_property
     def _space(self) -> Space | None:
         """The space, whose configurations were checked where it was made."""
         if self.space is None:
             return None
-        if self.table != "1":
+        if self.table is not None:
             raise InputError(f"space '{self.space}' has configurations of its own; leave out --coordinates")
         if self.flight_height != NavigationSettings.flight_height:
             raise InputError(
@@ -131,8 +155,9 @@ class Rooms(NavigationSettings, TaskSettings):
     @functools.cached_property
     def _scenes(self) -> list[Scene]:
         paths = self._paths()
-        first = load_scene(paths[0], self.resolution)
-        return [first, *(load_scene(path, self.resolution, first.vehicle) for path in paths[1:])]
+        first = load_scene(paths[0], self.resolution, approximate=self.approximate)
+        others = (load_scene(path, self.resolution, first.vehicle, self.approximate) for path in paths[1:])
+        return [first, *others]
 
     def _paths(self) -> list[Path]:
         found: list[Path] = []
@@ -159,7 +184,12 @@ class Rooms(NavigationSettings, TaskSettings):
         """The table that is trained in."""
         if self._space is not None:
             return self._of_own_kind(self._space.train.table)
-        return load_coordinates(self.table, self.configurations_kind)
+        if self.table is not None:
+            return load_coordinates(self.table, self.configurations_kind)
+        marked = _marked([scene.map for scene in self.scenes()]) if self.maps else None
+        return (
+            load_coordinates("1", self.configurations_kind) if marked is None else self._of_own_kind(marked)
+        )
 
     def kept_in(self, folder: Path) -> Rooms:
         """The same settings, but reading the files that are kept in `folder`."""
@@ -173,4 +203,22 @@ class Rooms(NavigationSettings, TaskSettings):
         """A line for each thing that is allowed, but seldom meant."""
         if self.space is not None:
             return ()
-        return map_notices([scene.map for scene in self.scenes()], world.table, task.vehicle, self)
+        told = [
+            f"{path}: {line}"
+            for path, scene in zip(self._paths(), self.scenes(), strict=True)
+            for line in scene.notices
+        ]
+        return (*told, *map_notices([scene.map for scene in self.scenes()], world.table, task.vehicle, self))
+
+
+def _marked(maps: Sequence[Map]) -> Configurations | None:
+    """From every start to every goal that a map marks, map by map; None where none marks any."""
+    rows = [
+        (start, goal, number)
+        for number, one in enumerate(maps)
+        for start, goal in itertools.product(one.starts, one.goals)
+    ]
+    if not rows:
+        return None
+    start, goal, map_id = (np.array(column) for column in zip(*rows, strict=True))
+    return fill(Configurations(start.astype(np.float32), goal.astype(np.float32), map_id.astype(np.int32)))

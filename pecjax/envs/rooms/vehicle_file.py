@@ -10,6 +10,7 @@ import numpy as np
 
 from pecjax.envs.rooms.mjcf_file import MapFile
 from pecjax.envs.rooms.quiet_mjx import mjx
+from pecjax.envs.rooms.solids import collides
 from pecjax.envs.rooms.vehicle import Camera, Rotors, Vehicle, drone_alone, passive_physics
 from pecjax.errors import InputError
 
@@ -26,7 +27,10 @@ def find_drone(map_file: MapFile) -> int:
     model, path = map_file.model, map_file.path
     drone = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "drone")
     if drone < 0:
-        raise InputError(f"{path}: no body named 'drone'; give the drone's body that name")
+        raise InputError(
+            f"{path}: no body named 'drone', and something moves; give the drone's body that name, or leave "
+            "walls alone, which get a drone"
+        )
     check_joints(map_file, drone)
     if np.any(model.body_parentid[drone + 1 :] == drone):
         raise InputError(
@@ -79,11 +83,6 @@ def _equal(one: Any, other: Any) -> bool:
     if hasattr(one, "__dict__"):
         return all(_equal(value, vars(other)[name]) for name, value in vars(one).items())
     return np.array_equal(one, other)
-
-
-def collides(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether a geom can touch anything."""
-    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 
 def check_joints(map_file: MapFile, drone: int) -> None:

@@ -47,7 +47,7 @@ def evaluated_rooms(
         raise InputError("a split is one of a space; give --space too")
     other = own
     if space is not None:
-        other = dataclasses.replace(own, space=space, table="1", maps=())
+        other = dataclasses.replace(own, space=space, table=None, maps=())
     elif of_table:
         kept = maps or (own.maps if own.space is None else ())
         other = dataclasses.replace(own, space=None, table=coordinates or own.table, maps=kept)
