@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     )
     from pecjax.envs.task import Task as Task, TaskSettings as TaskSettings
     from pecjax.export.files import export_policy as export_policy
+    from pecjax.runtime.devices import use_all_cores as use_all_cores
     from pecjax.settings_tree import set_path as set_path
     from pecjax.training import sinks as sinks
     from pecjax.training.load import open_run as open_run
@@ -69,6 +70,7 @@ _NAMES = {
     "find_preset": "pecjax.training.presets",
     "open_run": "pecjax.training.load",
     "train": "pecjax.training.result",
+    "use_all_cores": "pecjax.runtime.devices",
 }
 
 

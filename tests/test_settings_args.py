@@ -12,6 +12,7 @@ from pecjax.commands import settings_args, train
 from pecjax.commands.study import Study
 from pecjax.commands.train import Train
 from pecjax.curriculum import PEC, Floor, TableTop, Uniform
+from pecjax.studies.grid import shown_space, space_name
 from pecjax.training import presets
 
 OF_TRAIN = {"preset", "seed"}
@@ -203,6 +204,20 @@ def test_a_study_shares_them_among_its_runs(tmp_path):
     assert isinstance(command, Study)
     run = command._settings(tmp_path).run
     assert run.agent.learning_rate == 0.5 and run.evaluation.episodes == 9
+
+
+def test_a_study_flies_what_its_maps_mark_and_else_set_1(tmp_path):
+    def runs_of(*words):
+        command = cli.parse(["study", *words])
+        assert isinstance(command, Study)
+        study = command._settings(tmp_path / "study")
+        return [study.settings_of(spec) for specs in study.batches() for spec in specs]
+
+    (tmp_path / "plan.txt").write_text("cell 1\n#######\n#S...G#\n#S...G#\n#######\n")
+    marked = runs_of("--scene", str(tmp_path / "plan.txt"))
+    assert {shown_space(space_name(run)) for run in marked} == {"plan"}
+    assert {run.task.configurations().size for run in marked} == {4}
+    assert {shown_space(space_name(run)) for run in runs_of()} == {"set 1"}
 
 
 @pytest.mark.parametrize("command", ["train", "study"])

@@ -646,6 +646,7 @@ def test_every_figure_of_a_study_is_drawn(study):
 
 def test_the_pace_of_a_study_is_that_of_whole_batches_of_rows(monkeypatch, capsys):
     """Two runs of 100 iterations of 64 steps; after the first come 49 every 100 s, all at once."""
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as in notebooks; lines are printed nevertheless
     now = iter([0.0] + 49 * [100.0] + [100.0] + 50 * [200.0] + [200.0])
     clock = types.SimpleNamespace(monotonic=lambda: next(now))
     monkeypatch.setattr("pecjax.training.sinks.progress.time", clock)

@@ -26,7 +26,7 @@ from pecjax.training.presets import PRESETS, find_preset
 from pecjax.training.settings import RunSettings, override
 
 # Of a study that is none of the paper's.
-OWN_GRID = (("task.table", ("1",)), ("sampler", ("pec", "uniform")), ("sampler.alpha", (0.2,)))
+OWN_GRID = (("sampler", ("pec", "uniform")), ("sampler.alpha", (0.2,)))
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Study:
         samplers: pec, uniform, table_top or others of docs/samplers.md, or your own as my.module:Class.
             (default: the study's, or pec and uniform)
         alphas: each is tried with the samplers that have one. (default: the study's, or 0.2)
-        coordinates: the paper's sets 1 and 2, or files. (default: the study's, or 1)
+        coordinates: the paper's sets 1 and 2, or files. (default: the study's, or what the maps mark, else 1)
         seeds: numbers, or ranges such as 0-9. (default: the study's, or 0-4)
         iterations: of each run. (default: the study's, or the preset's where one is given)
         evaluate_every: iterations between evaluations. (default: as for the iterations)

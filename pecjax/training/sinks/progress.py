@@ -26,6 +26,8 @@ class Progress(Sink):
             episodes: of an evaluation, in words, where each is to have a line.
         """
         self._console = Console(stderr=True, highlight=False, soft_wrap=True, quiet=not is_primary())
+        # Rich takes FORCE_COLOR for a terminal, which notebooks and many a CI set.
+        self._draws = self._console.is_terminal and self._console.file.isatty()
         self._iterations = iterations
         self._episodes = episodes
         self._done = 0
@@ -40,7 +42,7 @@ class Progress(Sink):
             TimeRemainingColumn(),
             TextColumn("left"),
             console=self._console,
-            disable=self._console.quiet or not self._console.is_terminal,
+            disable=self._console.quiet or not self._draws,
         )
         self._task = self._bar.add_task("training", total=iterations, figures="")
 
@@ -94,7 +96,7 @@ class Progress(Sink):
         """Prints a line where there is no bar, and it is time for one."""
         now = time.monotonic()
         due = now - self._last_line >= SECONDS_BETWEEN_LINES or self._done == self._iterations
-        if due and not self._console.is_terminal:
+        if due and not self._draws:
             self._last_line = now
             left = f", {(self._iterations - self._done) / self._pace:.0f} s left" if self._pace else ""
             self.say(f"iteration {self._done}/{self._iterations}: {self._figures}{left}")
