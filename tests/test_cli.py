@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,7 +17,8 @@ from test_scene import BAD_MAPS
 
 import pecjax
 from pecjax.cli import main
-from pecjax.envs.rooms import load_coordinates
+from pecjax.commands import evaluate
+from pecjax.envs.rooms import COORDINATE_SET_1, load_coordinates
 from pecjax.envs.rooms.scene import default_scene_path
 from pecjax.runtime import devices
 from pecjax.training import train as training
@@ -108,6 +110,18 @@ def test_eval_prints_exactly_one_json_object(run, capsys):
     assert main(["eval", str(run), "--episodes", "2", "--sampled"]) == 0
     out = capsys.readouterr().out
     assert f"goal ratio {report['goal_ratio']:.4f}" in out and out.count("not flown") == 1
+
+
+def test_of_many_configurations_eval_lists_the_lowest_that_were_flown(capsys):
+    table = jax.tree.map(lambda column: np.resize(column, (100, *column.shape[1:])), COORDINATE_SET_1)
+    ratios = np.full(100, np.nan)
+    ratios[[3, 50, 99]] = 1.0, 0.5, 0.0
+    evaluate._print_configurations(table, ratios)
+    title, *lines = capsys.readouterr().out.splitlines()
+    assert title == "the 3 lowest of 3 configurations that were flown, of 100:"
+    assert [line.split()[0] for line in lines] == ["c99", "c50", "c3"]
+    evaluate._print_configurations(table, np.zeros(100))
+    assert capsys.readouterr().out.count("\n") == 21
 
 
 def test_figures_draws_them_again_and_names_them(run, capsys):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import pecjax
 from pecjax.cli import main
 from pecjax.training.demos import DEMOS, find_run
 from pecjax.training.run_arrays import last_recording
@@ -37,6 +38,7 @@ def test_demos_hold_what_is_watched_and_small_weights(demo):
         assert arrays["success"].mean() >= 0.95
         assert len(arrays["recorded"]) == 50
     (checkpoint,) = (run.folder / "checkpoints").glob("*.npz")
+    assert str(pecjax.open_run(demo).iteration) == checkpoint.stem
     with np.load(checkpoint) as arrays:
         assert sum(arrays[name].nbytes for name in arrays.files if name.startswith(".params")) < 200_000
         rest = [arrays[name] for name in arrays.files if name.startswith(".optimizer")]

@@ -19,7 +19,8 @@ from pecjax.envs.task import num_configs
 from pecjax.training.eval_report import Report, make_report
 from pecjax.training.evaluation import success_by_config
 
-MOST_LINES = 60  # of configurations
+MOST_LINES = 60  # of configurations; of more than that,
+LOWEST = 20  # so many are listed
 
 
 @dataclass(frozen=True)
@@ -104,11 +105,12 @@ def _print_line(name: str, figures: dict[str, Any], period: float | None) -> Non
 
 
 def _print_configurations(table: Any, ratios: np.ndarray) -> None:
-    """A line for each configuration, or for the lowest."""
+    """A line for each configuration; of many, for the lowest that were flown."""
     order = np.arange(len(ratios))
     if len(order) > MOST_LINES:
-        order = np.argsort(ratios)[:MOST_LINES]  # what was not flown comes last
-        print(f"the {MOST_LINES} lowest of {len(ratios)} configurations:")
+        flown = np.flatnonzero(~np.isnan(ratios))
+        order = flown[np.argsort(ratios[flown], kind="stable")][:LOWEST]
+        print(f"the {len(order)} lowest of {len(flown)} configurations that were flown, of {len(ratios)}:")
     for config in order.tolist():
         line = f"  c{config:<3} {describe(table, config)}"
         print(f"{line:34} {'not flown' if np.isnan(ratios[config]) else f'{ratios[config]:.3f}'}")

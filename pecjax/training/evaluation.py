@@ -130,8 +130,7 @@ def run_episodes(
     reset, observe = jax.vmap(task.reset, shared), jax.vmap(task.observe, shared)
     start = reset(keys, take_configs(world.table, config_id), world.params)
     first = jax.vmap(jax.random.fold_in, (0, None))(keys, limit)  # steps fold in numbers below it
-    obs = observe(first, start, world.params)
-    recording = _start_recording(task, act, start, obs, keys)
+    recording = _start_recording(task, act, start, jax.eval_shape(observe, first, start, world.params), keys)
     running = start_episodes(config_id, task.metrics)
     nothing = {name: jnp.zeros(number) for name in task.metrics}
     none = jnp.zeros(number, bool)
@@ -141,24 +140,19 @@ def run_episodes(
         return (time < limit) & ~jnp.all(done)
 
     def step(carry: tuple) -> tuple:
-        time, state, obs, running, done, success, metrics, recording = carry
+        time, state, key_obs, running, done, success, metrics, recording = carry
+        # Here alone, and not before the loop, too: images are most of the program.
+        obs = observe(key_obs, state, world.params)
         now = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, time)
         # The action's draws are those of `now`; the task's are of keys of their own.
         of_task = jax.vmap(lambda key: jax.random.split(key, 2), out_axes=1)(now)
         actions = jax.vmap(act)(obs, now)
         after = jax.vmap(task.step, (0, 0, 0, None))(of_task[1], state, actions, world.params)
         further, episodes = step_episodes(running, after, task.metrics)
-        # Of an episode that has ended nothing is observed: XLA then leaves out its images.
-        state, obs, running, success, metrics = reset_where(
+        state, running, success, metrics = reset_where(
             done,
-            (state, obs, running, success, metrics),
-            (
-                after.state,
-                observe(of_task[0], after.state, world.params),
-                further,
-                after.success,
-                episodes.metrics,
-            ),
+            (state, running, success, metrics),
+            (after.state, further, after.success, episodes.metrics),
         )
         if recording is not None:
             poses, taken = recording
@@ -167,10 +161,11 @@ def run_episodes(
                 poses.at[time + 1].set(jax.vmap(task.pose)(state)),
                 taken.at[time].set(jnp.where(mask, 0, actions)),
             )
-        return time + 1, state, obs, running, done | episodes.outcomes.done, success, metrics, recording
+        done = done | episodes.outcomes.done
+        return time + 1, state, of_task[0], running, done, success, metrics, recording
 
     time, state, _, running, _, success, metrics, recording = jax.lax.while_loop(
-        are_running, step, (jnp.int32(0), start, obs, running, none, none, nothing, recording)
+        are_running, step, (jnp.int32(0), start, first, running, none, none, nothing, recording)
     )
     poses = taken = None
     if recording is not None:
