@@ -314,7 +314,8 @@ def test_the_preset_rllib085_holds_every_value_of_rllib_and_of_the_paper():
     assert found.network == NetworkSettings(encoder="mlp", hidden=(256, 256), initializer="normc")
     assert preset.stop.iterations == 1500 and preset.sampler == PEC(alpha=0.2)
     assert preset.evaluation.every == 100 and preset.evaluation.episodes == 50
-    assert preset.task == pecjax.Rooms(table="1")
+    assert preset.task == pecjax.Rooms()  # the paper's six rooms and set 1
+    jax.tree.map(np.testing.assert_array_equal, preset.task.configurations(), pecjax.COORDINATE_SET_1)
 
 
 # Goals one metre away, three of them near a wall, so that episodes end within a few steps.
