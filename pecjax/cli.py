@@ -1,4 +1,4 @@
-"""The command line: `pecjax train`, `eval`, `watch`, `study` and others; `pecjax --help` names them all."""
+"""The command line: `pecjax` and its commands."""
 
 from __future__ import annotations
 
@@ -28,6 +28,19 @@ from pecjax.errors import DivergedError, InputError, LostProcessError, StoppedEr
 from pecjax.runtime import devices
 from pecjax.settings_tree import nearest
 
+_HELP = """\
+usage: pecjax COMMAND [OPTIONS]
+
+Trains drones to find their way through rooms, end to end on the accelerator.
+
+  pecjax watch demo    shows a trained drone
+  pecjax train         trains one
+
+commands:
+{commands}
+
+pecjax COMMAND --help lists the options of a command, pecjax --version says which version this is."""
+
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
@@ -53,22 +66,25 @@ def parse(args: Sequence[str] | None = None) -> Command:
     if words == ["--version"]:
         print(f"pecjax {pecjax.__version__}")
         raise SystemExit(0)
+    if words[:1] in (["--help"], ["-h"]):
+        summaries = {name: kind.__doc__.partition("\n")[0] for name, kind in commands.items()}
+        print(_HELP.format(commands="\n".join(f"  {name:10}{line}" for name, line in summaries.items())))
+        raise SystemExit(0)
     if not words:
         raise InputError(f"no command; give one of {', '.join(commands)}, or --help")
     command = words[0]
-    if command not in (*commands, "--help", "-h"):
+    if command not in commands:
         known = [*commands, "--help", "--version"]
         raise InputError(
             f"unknown command '{command}'{nearest(command, known)}; give one of {', '.join(known)}"
         )
-    kind = commands.get(command)
-    named = kind
+    named = kind = commands[command]
     if kind is Maps and words[1:2] not in (["--help"], ["-h"]):
         named, command = _action(words), " ".join(words[:2])
     words, settings = settings_args.split(words, kind) if kind in (Train, Study) else (words, [])
-    known = ["--" + field.name.replace("_", "-") for field in dataclasses.fields(named)] if named else []
+    known = ["--" + field.name.replace("_", "-") for field in dataclasses.fields(named)]
     try:
-        found = read(Command, words, known, prog="pecjax", description=__doc__)
+        found = read(Command, words, known, prog="pecjax")
         options = found.action if isinstance(found, Maps) else found
         for field in dataclasses.fields(options):
             if field.default is None and getattr(options, field.name) == ():

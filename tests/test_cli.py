@@ -232,9 +232,10 @@ def test_every_command_explains_itself(command, capsys):
     assert stop.value.code == 0
     out, err = capsys.readouterr()
     assert "usage: pecjax" in out and err == ""
-    options = {"train": ["--preset", "--alpha", "--seed"], "eval": ["--json", "--seed"], "check": ["--scene"]}
-    for option in options.get("".join(command), []):
-        assert option in out
+    words = {"": ["watch demo", "new-map"], "train": ["--preset", "--alpha", "--seed"]}
+    words |= {"eval": ["--json", "--seed"], "check": ["--scene"]}
+    for word in words.get("".join(command), []):
+        assert word in out
 
 
 @pytest.mark.parametrize("module", ["pecjax", "pecjax.cli"])
