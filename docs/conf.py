@@ -36,7 +36,7 @@ autodoc_preserve_defaults = True
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 maximum_signature_line_length = 88
-napoleon_use_ivar = True
+napoleon_custom_sections = [("Attributes", "params_style")]  # else "Variables", and two of one line apart
 napoleon_attr_annotations = False  # the signature has them
 
 html_theme = "sphinx_book_theme"

@@ -10,6 +10,7 @@ from pathlib import Path
 from pecjax.commands import settings_args
 from pecjax.commands.drawing import draw
 from pecjax.commands.options import Option, Rest, Strings
+from pecjax.envs.rooms.settings import Rooms
 from pecjax.errors import InputError
 from pecjax.runtime import distributed as processes
 from pecjax.training import train as training
@@ -119,6 +120,8 @@ class Train:
             f"{summary['env_steps']:,} steps in {summary['seconds']:.0f} s "
             f"(and {summary['compile_seconds']:.0f} s of compilation)"
         )
+        if isinstance(settings.task, Rooms):
+            print(f"pecjax watch {folder} shows its flights")
 
     def _trackers(self) -> list[Sink]:
         trackers: list[Sink] = [TensorBoard()] if self.tensorboard else []
