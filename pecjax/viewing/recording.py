@@ -104,7 +104,9 @@ def make_recording(
     recorded = np.asarray(arrays["recorded"])
     chosen = np.linspace(0, len(recorded) - 1, min(most, len(recorded))).astype(int)
     ending, camera = endings(arrays), _camera(task, world)
-    flights = tuple(_flight(task, world, camera, ending, arrays, int(place)) for place in chosen)
+    command = task.command(jnp.arange(task.action_space.num_actions))
+    commands = np.stack([command.speed, command.yaw_rate], axis=1)
+    flights = tuple(_flight(world, camera, commands, ending, arrays, int(place)) for place in chosen)
     if not flights:
         raise ValueError("no flights")
     numbers = sorted({flight.map_id for flight in flights})
@@ -113,9 +115,9 @@ def make_recording(
 
 
 def _flight(
-    task: RoomsTask,
     world: World,
     camera: Camera,
+    commands: np.ndarray,
     ending: np.ndarray,
     arrays: Mapping[str, np.ndarray],
     place: int,
@@ -128,7 +130,6 @@ def _flight(
     poses = poses[: length + 1]
     config_id = int(arrays["config_id"][episode])
     config = jax.tree.map(np.asarray, take_configs(world.table, config_id))
-    command = task.command(jnp.asarray(actions[:length]))
     passes = config.waypoint is not None and bool(np.any(config.waypoint))
     return Flight(
         config_id,
@@ -137,7 +138,7 @@ def _flight(
         config.goal,
         config.waypoint if passes else None,
         poses,
-        np.stack([command.speed, command.yaw_rate], axis=1),
+        commands[actions[:length]],
         camera(config, poses),
     )
 
