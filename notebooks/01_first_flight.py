@@ -17,11 +17,6 @@
 SCALE = "laptop"  # two or three minutes on two cores; "smoke" takes seconds and learns nothing
 
 # %%
-from pecjax.runtime.devices import use_all_cores
-
-use_all_cores()  # before JAX is first used: every core becomes a device
-
-# %%
 import time
 from pathlib import Path
 
@@ -32,11 +27,8 @@ from IPython.display import Image
 
 import pecjax
 from pecjax.envs.task import take_configs
-from pecjax.plotting import run as run_figures
-from pecjax.plotting.maps import floor_plan
-from pecjax.studies.catalogue import find_study
-from pecjax.training import train as training
-from pecjax.training.load import open_run
+
+pecjax.use_all_cores()  # before JAX is first used: every core becomes a device
 
 # %% [markdown]
 # ## The rooms
@@ -44,7 +36,7 @@ from pecjax.training.load import open_run
 # What is flown is a *configuration*: where to start and where to go. The paper's first set has twenty.
 
 # %%
-scene, table = pecjax.load_scene(), pecjax.COORDINATE_SET_1
+table = pecjax.COORDINATE_SET_1
 for start, goal in zip(table.start[:4], table.goal[:4], strict=True):
     print(f"from {start} m to {goal} m")
 
@@ -52,19 +44,30 @@ for start, goal in zip(table.start[:4], table.goal[:4], strict=True):
 # ## Train
 #
 # The configuration of each next episode is drawn with probability proportional to its failure ratio + α.
-# Every setting is a field of one frozen dataclass.
+# Every setting has a path; `pecjax train --help` lists them all.
 
 # %%
-settings = find_study("fig4", SCALE).run
+changes = {
+    "laptop": {"stop.iterations": 300, "evaluation.every": 15},
+    "smoke": {"stop.iterations": 4, "evaluation.every": 2, "agent.num_envs": 64},
+}
+settings = pecjax.RunSettings()
+for path, value in changes[SCALE].items():
+    settings = pecjax.set_path(settings, path, value)
+
 folder = Path("runs") / time.strftime("first-flight-%Y%m%d-%H%M%S")
-summary = training.train(settings, folder)
-summary
+result = pecjax.train(settings, folder)
+result.summary
 
 # %% [markdown]
 # ## Look
+#
+# The same files come from `pecjax train`, and these commands serve both:
+
+# %% magic_args="-s {folder}" language="bash"
+# pecjax figures $1
 
 # %%
-run_figures.draw_run(folder)
 Image(folder / "figures" / "goal_ratio.png", width=600)
 
 # %% [markdown]
@@ -78,33 +81,37 @@ Image(folder / "figures" / "configurations.png", width=1000)
 Image(folder / "figures" / "map.png", width=520)
 
 # %% [markdown]
+# ## Watch
+#
+# Some flights of the last evaluation, from above, and what one of the drones sees. `pecjax watch` without
+# `--gif` writes a page for the browser, in three dimensions.
+
+# %% magic_args="-s {folder}" language="bash"
+# pecjax watch $1 --flights 8 --gif $1/flights.gif
+
+# %%
+Image(folder / "flights.gif")
+
+# %% [markdown]
 # ## Fly
 #
 # The task is a few pure functions for one drone, and so is the policy.
 
 # %%
-trained = open_run(folder)
+trained = result.trained
 task, world, act = trained.run.task, trained.run.world, jax.jit(trained.policy())
 reset, observe, step = jax.jit(task.reset), jax.jit(task.observe), jax.jit(task.step)
 
 config = take_configs(world.table, 18)  # c18, through two doors
 key, over = jax.random.key(0), False
 state = reset(key, config, world.params)
-seen, path = [], []
+seen = []
 while not over:
     obs = observe(key, state, world.params)
     seen.append(np.asarray(obs["depth"]) * task.vehicle.camera.far)  # networks are given shares of it
-    path.append(np.asarray(state.qpos[:2]))
     after = step(key, state, act(obs, key), world.params)
     state, over = after.state, bool(after.terminated)
-print(f"{len(path)} steps, goal reached: {bool(after.success)}")
-
-# %%
-figure, axes = plt.subplots(figsize=(5, 5))
-floor_plan(axes, scene.map, scene.drone_radius)
-axes.plot(*np.array(path).T, color="#1f5f99")
-axes.plot(*config.goal, "o", color="#00573f")
-plt.show()
+print(f"{len(seen)} steps, goal reached: {bool(after.success)}")
 
 # %% [markdown]
 # What it saw on the way (distance in metres, nearer is darker):

@@ -15,58 +15,71 @@
 SCALE = "laptop"  # some five minutes on two cores; "smoke" takes seconds and learns nothing
 
 # %%
-from pecjax.runtime.devices import use_all_cores
-
-use_all_cores()  # before JAX is first used: every core becomes a device
-
-# %%
-import dataclasses
 import time
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import Image
 
-from pecjax.curriculum import Outcomes, Sampler, SamplerSettings, from_counts, pec
-from pecjax.envs.rooms import load_coordinates, load_scene
-from pecjax.envs.rooms.scene import default_scene_path
-from pecjax.envs.rooms.validity import check_coordinates
-from pecjax.plotting import study as study_figures
-from pecjax.studies import report as study_report
-from pecjax.studies.catalogue import find_study
-from pecjax.studies.run import run_study
-from pecjax.training.settings import override
-
-# %% [markdown]
-# ## A new map
-#
-# A map is an MJCF file: every box that does not move is a wall, hit and seen. Here one more wall stands in
-# the hall. Coordinates are lines of `x, y, x, y`; both are checked before anything is trained.
-
-# %%
 folder = Path("runs") / time.strftime("own-%Y%m%d-%H%M%S")
 folder.mkdir(parents=True)
-wall = '<geom name="mine" type="box" pos="0.5 -2.2 1.25" size="0.1 1.2 1.25"/>\n    <body name="drone"'
-(folder / "map.xml").write_text(default_scene_path().read_text().replace('<body name="drone"', wall))
-(folder / "pairs.csv").write_text("-1, -2, 5, -2\n5, -2, -1, -2\n0, 5, 5, 5\n-5, 0, -5, 5\n0, -2, 3, 2\n")
-
-scene, pairs = load_scene(folder / "map.xml"), load_coordinates(str(folder / "pairs.csv"))
-check_coordinates(scene, pairs, flight_height=1.2)
-print(f"{len(scene.map.names)} walls, {pairs.size} configurations, all can be flown")
+# %cd -q {folder}
 
 # %% [markdown]
-# ## A new sampler
+# ## A map
+#
+# A map can be drawn as text: `#` is wall, `.` is free, and the drone flies from every `S` to every `G`.
+
+# %%
+plan = """\
+// Four rooms around a corridor. A character is a square of one metre.
+cell 1
+height 2.5
+
+###############
+#S.....#.....G#
+#......#......#
+#......#......#
+####.#####.####
+#S...........G#
+#.............#
+####.#####.####
+#......#......#
+#......#......#
+#S.....#.....G#
+###############
+"""
+Path("plan.txt").write_text(plan)
+
+# %% [markdown]
+# `check` says what it understood, and draws it:
+
+# %% language="bash"
+# pecjax check --scene plan.txt
+
+# %%
+Image("check.png", width=520)
+
+# %% [markdown]
+# A map that needs more than squares is an MJCF file. `pecjax new-map rooms.xml` writes one to be changed.
+#
+# ## A sampler
 #
 # A sampler is four pure functions over a state; `from_counts` makes them of a priority. This one draws what
 # fails about half of the time, where most may be learned (p (1 - p), as in SFL and ProCuRL). Its settings are
-# a class, which a run names by its address: `my.module:Learnability` if it lay in a file.
-
+# a class, which commands name by its address.
 
 # %%
-@dataclasses.dataclass(frozen=True)
+# %%writefile mine.py
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+
+from pecjax.curriculum import Sampler, SamplerSettings, from_counts
+
+
+@dataclass(frozen=True)
 class Learnability(SamplerSettings):
     """Draws in proportion to p (1 - p) of the failure ratio p, and a little more."""
 
@@ -86,29 +99,19 @@ class Learnability(SamplerSettings):
 # Beside PEC and uniform sampling, paired by seed, in the new map:
 
 # %%
-study = find_study("fig4", SCALE)
-grid = {
-    "task.table": (str(folder / "pairs.csv"),),
-    "sampler": (f"{__name__}:Learnability", "pec", "uniform"),
-    "sampler.alpha": (0.2,),
-}
-study = dataclasses.replace(
-    study,
-    name="own",
-    run=override(study.run, scene=(str(folder / "map.xml"),), iterations=min(study.run.stop.iterations, 90)),
-    grid=tuple(grid.items()),
-    seeds=(0, 1),
-    parallel_runs=len(jax.devices()),
-)
-run_study(study, folder / "study")
-print(study_report.write_report(folder / "study"))
+size = {
+    "laptop": "--iterations 90 --evaluate-every 15",
+    "smoke": "--iterations 4 --evaluate-every 2 --agent.num-envs 64 --evaluation.episodes 40",
+}[SCALE]
+
+# %% magic_args="-s {size}" language="bash"
+# pecjax study --scene plan.txt --samplers mine:Learnability pec uniform --seeds 0-1 --out study $@ 2>&1
 
 # %%
-study_figures.draw_study(folder / "study")
-Image(folder / "study" / "figures" / "map.png", width=1000)
+Image("study/figures/map.png", width=1000)
 
 # %%
-Image(folder / "study" / "figures" / "goal_ratio.png", width=800)
+Image("study/figures/goal_ratio.png", width=800)
 
 # %% [markdown]
 # Two seeds show that it works, not which is better; `docs/results.md` has comparisons that say something.
@@ -119,6 +122,11 @@ Image(folder / "study" / "figures" / "goal_ratio.png", width=800)
 # trial makes the task a little easier.
 
 # %%
+import jax
+import jax.numpy as jnp
+
+from pecjax.curriculum import Outcomes, pec
+
 NUM_TASKS, BATCH = 30, 64
 sampler = pec(NUM_TASKS, alpha=0.2)
 

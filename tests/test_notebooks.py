@@ -1,5 +1,7 @@
 """The notebooks: that they run from top to bottom, and are stored as they are written, with pictures."""
 
+import os
+import sys
 from pathlib import Path
 
 import jupytext
@@ -14,7 +16,9 @@ NAMES = ("01_first_flight", "02_alpha_study", "03_your_own_map_and_sampler")
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_a_notebook_runs_from_top_to_bottom(name, tmp_path):
+def test_a_notebook_runs_from_top_to_bottom(name, tmp_path, monkeypatch):
+    # Cells call `pecjax` as a shell would.
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
     notebook = jupytext.read(NOTEBOOKS / f"{name}.py")
     settings = [cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", ())]
     assert len(settings) == 1 and settings[0].source.startswith('SCALE = "laptop"')
