@@ -99,13 +99,11 @@ class Learnability(SamplerSettings):
 # Beside PEC and uniform sampling, paired by seed, in the new map:
 
 # %%
-size = {
-    "laptop": "--iterations 90 --evaluate-every 15",
-    "smoke": "--iterations 4 --evaluate-every 2 --agent.num-envs 64 --evaluation.episodes 40",
-}[SCALE]
+iterations, every = {"laptop": (90, 15), "smoke": (2, 1)}[SCALE]
 
-# %% magic_args="-s {size}" language="bash"
-# pecjax study --scene plan.txt --samplers mine:Learnability pec uniform --seeds 0-1 --out study $@ 2>&1
+# %% magic_args="-s {iterations} {every}" language="bash"
+# pecjax study --scene plan.txt --samplers mine:Learnability pec uniform --seeds 0-1 \
+#   --iterations $1 --evaluate-every $2 --out study 2>&1
 
 # %%
 Image("study/figures/map.png", width=1000)
