@@ -51,6 +51,9 @@ last = results[results.iteration == results.iteration.max()]
 last.groupby("alpha")[["goal_ratio", "cvar"]].mean()
 
 # %%
+Image(folder / "figures" / "goal_ratio.png", width=900)
+
+# %%
 Image(folder / "figures" / "alpha.png", width=900)
 
 # %% [markdown]
