@@ -9,7 +9,7 @@ PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist lo
 
 .PHONY: train test test-slow lint docs lock three
 
-train: $(VENV)/installed
+train: $(VENV)/pecjax
 	$(BIN)/pecjax train
 
 # The core suite: minutes.
@@ -30,10 +30,14 @@ lint: $(VENV)/installed
 docs: $(VENV)/installed
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs docs/_build/html
 
-$(VENV)/installed: requirements.lock pyproject.toml
+# pecjax and what it needs, without what its tests need.
+$(VENV)/pecjax: requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --constraint requirements.lock --editable .
+	touch $@
+
+$(VENV)/installed: $(VENV)/pecjax
 	$(BIN)/python -m pip install --quiet --requirement requirements.lock
-	$(BIN)/python -m pip install --quiet --no-deps --editable .
 	touch $@
 
 # Needs npm: three.js for the page of `pecjax watch`, as package.json says.

@@ -13,7 +13,7 @@ import pecjax
 from pecjax.envs.rooms.box_cover import cover
 from pecjax.envs.rooms.clearance import wall_distance
 from pecjax.envs.rooms.depth import raycast
-from pecjax.envs.rooms.mjcf_file import read_mjcf
+from pecjax.envs.rooms.mjcf_file import read_map_file
 
 ROOT = Path(__file__).parents[1]
 REACH = 0.12  # m
@@ -158,7 +158,7 @@ def test_one_notice_says_what_became_boxes(approximated):
 
 def refused(path, approximate):
     with pytest.raises(pecjax.InputError) as caught:
-        read_mjcf(path, approximate)
+        read_map_file(path, approximate)
     assert "\n" not in str(caught.value) and str(path) in str(caught.value)
     return str(caught.value)
 
@@ -168,7 +168,7 @@ def test_a_reach_that_is_none(folder, approximate):
     with pytest.raises(
         pecjax.InputError, match=r"^approximate is \S+; give metres, 0\.001 at least, 0\.05 say$"
     ):
-        read_mjcf(folder / "map.xml", approximate)
+        read_map_file(folder / "map.xml", approximate)
 
 
 @pytest.mark.parametrize("shape", ["egg", "turned"])
@@ -213,7 +213,7 @@ def test_mesh_files_are_bounded_and_missing_ones_named(folder, tmp_path):
 def test_meshes_that_are_only_for_show_are_still_not_opened(tmp_path):
     shown = {"pillar": SHAPES["pillar"], "mesh": SHAPES["mesh"] + ' contype="0" conaffinity="0"'}
     (tmp_path / "map.xml").write_text(world(shown))
-    assert "stone" not in read_mjcf(tmp_path / "map.xml", 0.1).text
+    assert "stone" not in read_map_file(tmp_path / "map.xml", 0.1).text
 
 
 def test_a_flat_solid_is_refused():
@@ -228,5 +228,5 @@ def test_the_numbers_of_boxes_in_the_docs(tmp_path):
         (tmp_path / "map.xml").write_text(world({"it": geom}).replace('euler="5 0 0"', "").replace(
             'euler="0 0 10"', "").replace('euler="0 0 -10"', ""))  # fmt: skip
         for reach, number in zip((0.1, 0.05), map(int, numbers), strict=True):
-            found = int(read_mjcf(tmp_path / "map.xml", reach).notices[-1].split()[0])
+            found = int(read_map_file(tmp_path / "map.xml", reach).notices[-1].split()[0])
             assert abs(found - number) <= 0.1 * number, (geom, reach, found)

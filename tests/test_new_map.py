@@ -13,7 +13,7 @@ from hypothesis import given, settings as with_settings, strategies as st
 import pecjax
 from pecjax.cli import main
 from pecjax.envs.rooms.clearance import wall_distance
-from pecjax.envs.rooms.mjcf_file import read_mjcf
+from pecjax.envs.rooms.mjcf_file import read_map_file
 from pecjax.envs.rooms.settings import Rooms
 from pecjax.envs.rooms.text_plan import merge, read_text_plan
 from pecjax.runtime import devices
@@ -251,7 +251,7 @@ def test_a_drone_under_another_name_is_not_taken_for_a_wall(moving):
 
 
 def test_maps_with_a_drone_keep_their_own():
-    assert read_mjcf(write("map.xml", OTHER_MAP)).notices == ()
+    assert read_map_file(write("map.xml", OTHER_MAP)).notices == ()
     assert pecjax.load_scene("map.xml").drone_radius == 0.18
 
 

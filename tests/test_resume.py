@@ -27,12 +27,13 @@ from pecjax.envs.axes import axes_of
 from pecjax.envs.rooms.settings import Rooms
 from pecjax.errors import DivergedError, StoppedError
 from pecjax.runtime import provenance
-from pecjax.settings_tree import from_json
+from pecjax.settings_tree import from_json, to_json
 from pecjax.storage.arrays import CorruptFileError, read_arrays, write_arrays
 from pecjax.storage.files import alone
 from pecjax.studies.catalogue import find_study
+from pecjax.studies.grid import StudySettings
 from pecjax.training import loop, session, train as training
-from pecjax.training.former_versions import run_settings
+from pecjax.training.former_versions import run_settings, study_settings
 from pecjax.training.load import open_run
 from pecjax.training.presets import PRESETS
 from pecjax.training.run_directory import RunDirectory
@@ -264,6 +265,18 @@ def test_settings_of_version_0_1_are_todays():
         from_json(run_settings(former), RunSettings)
     with pytest.raises(pecjax.InputError, match="unknown algorithm 'sac'"):
         run_settings(former | {"algorithm": "sac"})
+
+
+def test_a_table_that_a_space_left_unused_is_none_today():
+    former = to_json(RunSettings(task=Rooms(table="1", space="rooms-pairs")))
+    wanted = RunSettings(task=Rooms(space="rooms-pairs"))
+    assert from_json(run_settings(former), RunSettings) == wanted
+    grid = [["task.table", ["1"]], ["sampler", ["pec", "uniform"]]]
+    study = to_json(StudySettings("own", wanted)) | {"grid": grid, "run": former}
+    found = from_json(study_settings(study), StudySettings)
+    assert found.run == wanted and found.grid == (("sampler", ("pec", "uniform")),)
+    study["run"] = to_json(RunSettings(task=Rooms(table="1")))  # without a space it is what is flown
+    assert study_settings(study) == study
 
 
 @pytest.mark.parametrize(

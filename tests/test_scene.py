@@ -7,7 +7,7 @@ import pecjax
 from pecjax.envs.rooms.clearance import wall_distance
 from pecjax.envs.rooms.flight import hover, physics_step
 from pecjax.envs.rooms.map_file import ENDLESS
-from pecjax.envs.rooms.mjcf_file import read_mjcf
+from pecjax.envs.rooms.mjcf_file import read_map_file
 
 CAMERA = (
     '<camera name="depth" pos="0.1 0 0" xyaxes="0 -1 0 0 0 1" fovy="73.7398" resolution="16 12"/>',
@@ -84,7 +84,7 @@ def test_what_is_only_for_show_may_need_files_which_are_never_opened(scene, edit
     for name in ("mass", "inertia"):
         np.testing.assert_array_equal(getattr(shown.vehicle, name), getattr(scene.vehicle, name))
     assert shown.map.names == scene.map.names
-    kept = read_mjcf(path).text
+    kept = read_map_file(path).text
     assert "file=" not in kept and 'mesh="hat"' not in kept
 
 
@@ -111,8 +111,8 @@ def test_a_map_and_the_map_that_is_saved_of_it_are_the_same(edited_rooms, other_
     rng = np.random.default_rng(0)
     saved = tmp_path / "saved.xml"
     for path in (other_map, *(edited_rooms(*odd_edits(rng)) for _ in range(40))):
-        saved.write_text(read_mjcf(path).text)
-        given, kept = read_mjcf(path), read_mjcf(saved)
+        saved.write_text(read_map_file(path).text)
+        given, kept = read_map_file(path), read_map_file(saved)
         assert kept.text == given.text
         for name in ("geom_pos", "geom_size", "geom_quat", "body_inertia", "cam_quat"):
             np.testing.assert_array_equal(getattr(kept.model, name), getattr(given.model, name))

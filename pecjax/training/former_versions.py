@@ -23,9 +23,16 @@ _RENAMED = {"clip": "clip_epsilon", "fragment": "rollout_length", "huber": "hube
 
 
 def run_settings(content: Any) -> Any:
-    """A run's settings: version 0.1 had those of map, evaluation and end at the top, and both learners'."""
-    if not isinstance(content, Mapping) or "algorithm" not in content:
+    """A run's settings: version 0.1 had those of map, evaluation and end at the top, and both learners'.
+
+    Before maps could mark starts and goals, a table was never None, and set 1 where there was a space.
+    """
+    if not isinstance(content, Mapping):
         return content
+    if "algorithm" not in content:
+        return (
+            {**content, "task": {**content["task"], "table": None}} if _has_unused_table(content) else content
+        )
     agent = str(content["algorithm"])
     if agent not in _AGENTS:
         raise InputError(f"unknown algorithm '{agent}'; choose one of {', '.join(_AGENTS)}")
@@ -50,6 +57,11 @@ def run_settings(content: Any) -> Any:
         "stop": _taken(content, "iterations", "until_goal_ratio", "patience"),
         **_taken(content, "preset", "seed", "configurations_every"),
     }
+
+
+def _has_unused_table(run: Any) -> bool:
+    task = run.get("task") if isinstance(run, Mapping) else None
+    return isinstance(task, Mapping) and task.get("space") is not None and task.get("table") == "1"
 
 
 def _taken(content: Mapping[str, Any], *names: str) -> dict[str, Any]:
@@ -82,9 +94,14 @@ def study_task(task: TaskSettings, folder: Path) -> TaskSettings:
 
 
 def study_settings(content: Any) -> Any:
-    """A study's settings; once samplers, α and coordinates were no part of its grid."""
-    if not isinstance(content, Mapping) or "samplers" not in content:
+    """A study's settings; once samplers, α and coordinates were no part of its grid, then set 1 always."""
+    if not isinstance(content, Mapping):
         return content
+    if "samplers" not in content:
+        if not _has_unused_table(content.get("run")):
+            return content
+        grid = [pair for pair in content["grid"] if pair != ["task.table", ["1"]]]
+        return {**content, "grid": grid, "run": run_settings(content["run"])}
     grid = [
         ["task.table", content.get("coordinates", ["1"])],
         ["sampler", content["samplers"]],

@@ -58,7 +58,7 @@ class MapFile:
         return f"{self.geom_places[number]}: geom " + (f"'{name}'" if name else f"{number}")
 
 
-def read_mjcf(path: Path, approximate: float | None = None) -> MapFile:
+def read_map_file(path: Path, approximate: float | None = None) -> MapFile:
     """Reads an MJCF file or a text plan once it and all that it includes have been looked through.
 
     What is flown is the map as it would be saved, so that a run and its saved map are the same. Walls alone

@@ -11,7 +11,7 @@ import numpy as np
 from pecjax.envs.rooms.default_drone import default_scene_path
 from pecjax.envs.rooms.map_file import Map, read_map
 from pecjax.envs.rooms.maps import Walls
-from pecjax.envs.rooms.mjcf_file import read_mjcf
+from pecjax.envs.rooms.mjcf_file import read_map_file
 from pecjax.envs.rooms.vehicle import Vehicle, set_options
 from pecjax.envs.rooms.vehicle_file import MAX_PIXELS, find_drone, read_vehicle
 from pecjax.errors import InputError
@@ -83,7 +83,7 @@ def load_scene(
         width, height = resolution
         if min(width, height) < 1 or width * height > MAX_PIXELS:
             raise InputError(f"resolution is {width}×{height}; 1 to {MAX_PIXELS:,} pixels are possible")
-    map_file = read_mjcf(default_scene_path() if path is None else Path(path), approximate)
+    map_file = read_map_file(default_scene_path() if path is None else Path(path), approximate)
     model = map_file.model
     drone = find_drone(map_file)
     set_options(model)

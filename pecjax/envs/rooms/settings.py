@@ -103,7 +103,7 @@ class Rooms(NavigationSettings, TaskSettings):
         """The space, whose configurations were checked where it was made."""
         if self.space is None:
             return None
-        if self.table not in (None, "1"):  # runs of before had set 1 where None is today
+        if self.table is not None:
             raise InputError(f"space '{self.space}' has configurations of its own; leave out --coordinates")
         if self.flight_height != NavigationSettings.flight_height:
             raise InputError(

@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from pecjax.envs.rooms.mjcf_file import read_mjcf
+from pecjax.envs.rooms.mjcf_file import read_map_file
 from pecjax.envs.rooms.plans.layout import HEIGHT
 from pecjax.envs.rooms.plans.plans import FLIGHT_HEIGHT, Plans
 from pecjax.envs.rooms.scene import default_scene_path
@@ -55,7 +55,7 @@ def plan_mjcf(plans: Plans, number: int, scene: Path | None = None) -> str:
     """
     if not 0 <= number < plans.size:
         raise InputError(f"there is no plan {number}; the plans are 0 to {plans.size - 1}")
-    base = read_mjcf(default_scene_path() if scene is None else scene)
+    base = read_map_file(default_scene_path() if scene is None else scene)
     find_drone(base)
     spec = mujoco.MjSpec.from_string(base.text)
     for geom in list(spec.geoms):
