@@ -315,7 +315,7 @@ def test_mistakes_are_named():
         wrapped(pec(NUM), bare, system=lambda sys, row: sys)
 
 
-# Brax's own code calls what JAX 0.10 took away: it runs in the suite of the older JAX, and not of the newer one.
+# Brax's own code calls what JAX 0.10 took away: the suite of the older JAX runs it, the newer cannot.
 needs_old_jax = pytest.mark.skipif(
     not hasattr(jax, "device_put_replicated"), reason="Brax 0.14.2's PPO needs a JAX before 0.10"
 )
