@@ -10,8 +10,9 @@ from stable_baselines3.common.vec_env import VecEnv
 
 import pecjax
 from pecjax.envs.rooms.clearance import wall_distance
+from pecjax.envs.rooms.controller import Command
 from pecjax.envs.rooms.depth import pixel_directions
-from pecjax.envs.rooms.flight import Command, DroneState, rotor_controls
+from pecjax.envs.rooms.flight import DroneState, rotor_controls
 from pecjax.envs.rooms.sensing import DISTANCE_SCALE
 from pecjax.envs.rooms.task import SPEEDS, YAW_RATES
 

@@ -76,6 +76,9 @@ def learner(task: Task, mesh: Mesh, settings: PPO) -> tuple[Workload, Workload]:
     policy = sharded(act, mesh, (SAME, over_envs, SAME), over_envs)
     learning = sharded(learn, mesh, (SAME, over_envs, SAME), SAME)
     amount = settings.num_steps * settings.num_envs
+    # Where they are in a training: not to be copied there at every call.
+    params, state, key = (jax.device_put(x, jax.NamedSharding(mesh, SAME)) for x in (params, state, key))
+    obs, trajectory = (jax.device_put(x, jax.NamedSharding(mesh, over_envs)) for x in (obs, trajectory))
     return (
         Workload(waiting(policy, params, obs, key), amount, "control steps/s"),
         Workload(waiting(learning, state, trajectory, key), amount, "control steps/s"),

@@ -21,8 +21,9 @@ from pecjax.agents.rollout import Policy, init_rollout, rollout
 from pecjax.agents.sharding import env_keys, global_ids
 from pecjax.curriculum import Sampler
 from pecjax.envs.rooms import RoomsTask
+from pecjax.envs.rooms.controller import Command
 from pecjax.envs.rooms.depth import depth_image, pixel_directions
-from pecjax.envs.rooms.flight import Command, fly, hover
+from pecjax.envs.rooms.flight import fly, hover
 from pecjax.envs.rooms.rotations import quaternion_to_matrix
 from pecjax.envs.task import Task, World
 from pecjax.runtime.devices import num_cores

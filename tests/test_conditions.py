@@ -10,7 +10,8 @@ from test_flight import replay
 
 import pecjax
 from pecjax.envs.rooms.air import drag_force, first_gust, next_gust
-from pecjax.envs.rooms.flight import Command, Conditions, hover, physics_step, rotor_controls
+from pecjax.envs.rooms.controller import Command
+from pecjax.envs.rooms.flight import Conditions, hover, physics_step, rotor_controls
 from pecjax.envs.rooms.rotations import quaternion_to_matrix
 
 DRAG = pecjax.NavigationSettings().drag

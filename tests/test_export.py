@@ -19,7 +19,8 @@ import pecjax
 from pecjax.agents import PPO
 from pecjax.agents.networks import NetworkSettings
 from pecjax.cli import main
-from pecjax.envs.rooms.flight import Command, DroneState, rotor_controls
+from pecjax.envs.rooms.controller import Command
+from pecjax.envs.rooms.flight import DroneState, rotor_controls
 from pecjax.envs.rooms.sensing import scale
 from pecjax.envs.spaces import Box, Discrete
 from pecjax.envs.task import Task, TaskSettings, Transition, World, take_configs

@@ -11,7 +11,8 @@ from jax import numpy as jnp
 from scipy import signal
 
 import pecjax
-from pecjax.envs.rooms.flight import Command, DroneState, allocate_rotors, hover, physics_step, rotor_controls
+from pecjax.envs.rooms.controller import Command, allocate_rotors
+from pecjax.envs.rooms.flight import Conditions, DroneState, hover, physics_step, rotor_controls
 from pecjax.envs.rooms.rotations import heading
 
 HEIGHT = 1.2
@@ -203,7 +204,7 @@ def test_mixing_gives_the_thrust_and_torque_asked_for(scene):
     rng = np.random.default_rng(0)
     thrust = np.float32(rng.uniform(8, 24, 1000))
     torque = np.float32(rng.uniform(-1, 1, (1000, 3)) * (0.3, 0.3, 0.015))
-    controls = np.asarray(jax.vmap(lambda f, t: allocate_rotors(scene.vehicle, f, t))(thrust, torque))
+    controls = np.stack(allocate_rotors(scene.vehicle, thrust, torque.T), axis=-1)
     made = controls @ scene.vehicle.rotors.wrench.T
     np.testing.assert_allclose(made, np.column_stack([thrust, torque]), atol=2e-5)
 
@@ -213,7 +214,7 @@ def test_yaw_gives_way_first(scene):
     thrust = np.float32(rng.uniform(8, 24, 1000))
     torque = np.float32(rng.uniform(-1, 1, (1000, 3)) * (0.3, 0.3, 0) + (0, 0, 1))
     torque[:500, 2] = -1
-    controls = np.asarray(jax.vmap(lambda f, t: allocate_rotors(scene.vehicle, f, t))(thrust, torque))
+    controls = np.stack(allocate_rotors(scene.vehicle, thrust, torque.T), axis=-1)
     made = controls @ scene.vehicle.rotors.wrench.T
     np.testing.assert_allclose(made[:, :3], np.column_stack([thrust, torque[:, :2]]), atol=2e-5)
     assert np.all(np.sign(made[:, 3]) == torque[:, 2])
@@ -227,8 +228,38 @@ def test_yaw_gives_way_first(scene):
 def test_mixing_keeps_the_limits_whatever_is_asked(scene):
     rng = np.random.default_rng(2)
     thrust, torque = np.float32(rng.normal(15, 30, 1000)), np.float32(rng.normal(0, 10, (1000, 3)))
-    controls = np.asarray(jax.vmap(lambda f, t: allocate_rotors(scene.vehicle, f, t))(thrust, torque))
+    controls = np.stack(allocate_rotors(scene.vehicle, thrust, torque.T), axis=-1)
     assert np.all((controls >= -1e-5) & (controls <= 8 + 1e-5))
+
+
+@pytest.mark.parametrize("which", ["six rooms", "other map"])
+def test_the_closed_form_is_what_mjx_computes(which, other_map):
+    with jax.enable_x64(True):
+        path = None if which == "six rooms" else other_map
+        vehicle, by_mjx = (pecjax.load_scene(path, by_mjx=by_mjx).vehicle for by_mjx in (False, True))
+        assert vehicle.mjx is None and by_mjx.mjx is not None
+        draw = np.random.default_rng(0)
+        qpos, qvel, controls = (jnp.asarray(draw.normal(size=(50, n))) for n in (7, 6, 4))
+        qpos = qpos.at[:, 3:].divide(jnp.linalg.norm(qpos[:, 3:], axis=1, keepdims=True))
+        qvel = qvel.at[0].set(0.0).at[1].multiply(50.0)  # at rest, and tumbling
+        air, payload = jnp.asarray(draw.normal(size=(50, 3))), jnp.asarray(draw.uniform(size=50))
+
+        def fly(vehicle):
+            def one(qpos, qvel, controls, air, payload):
+                conditions = Conditions(air, (0.1, 0.2, 0.3), payload)
+                return physics_step(vehicle, DroneState(qpos, qvel), controls, conditions)
+
+            return jax.jit(jax.vmap(one))(qpos, qvel, controls, air, payload)
+
+        for found, expected in zip(fly(vehicle), fly(by_mjx), strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
+
+
+def test_a_drone_that_more_acts_on_is_left_to_mjx(tmp_path):
+    for n, (old, new) in enumerate(AIR_AND_SPRING):
+        assert old in OTHER_MAP
+        (tmp_path / f"{n}.xml").write_text(OTHER_MAP.replace(old, new))
+        assert pecjax.load_scene(tmp_path / f"{n}.xml").vehicle.mjx is not None
 
 
 AIR_AND_SPRING = (

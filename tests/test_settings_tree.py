@@ -10,7 +10,7 @@ from jax import numpy as jnp
 from pecjax import InputError, settings_tree
 from pecjax.agents import PPO, AgentSettings, Apex
 from pecjax.curriculum import PEC, SamplerSettings, Uniform, from_counts
-from pecjax.envs.rooms.flight import ControllerGains
+from pecjax.envs.rooms.controller import ControllerGains
 from pecjax.envs.rooms.settings import Rooms
 from pecjax.envs.task import TaskSettings
 from pecjax.training.kinds import has_alpha, kind_name, label, make_kind, sampler_label

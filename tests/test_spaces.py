@@ -11,7 +11,8 @@ import pecjax
 from pecjax.envs.axes import make_table
 from pecjax.envs.rooms.clearance import wall_distance
 from pecjax.envs.rooms.config import VIA
-from pecjax.envs.rooms.flight import Command, Conditions, fly, hover
+from pecjax.envs.rooms.controller import Command
+from pecjax.envs.rooms.flight import Conditions, fly, hover
 from pecjax.envs.rooms.maps import MapBank, Walls
 from pecjax.envs.rooms.rules import NavigationSettings
 from pecjax.envs.rooms.settings import Rooms

@@ -11,7 +11,8 @@ from test_depth import seen_by_mujoco
 import pecjax
 from pecjax.envs.rooms import depth
 from pecjax.envs.rooms.clearance import least_distance, wall_distance
-from pecjax.envs.rooms.flight import Command, ControllerGains, fly, hover
+from pecjax.envs.rooms.controller import Command, ControllerGains
+from pecjax.envs.rooms.flight import fly, hover
 from pecjax.envs.rooms.map_file import ENDLESS
 from pecjax.envs.rooms.maps import Walls, make_bank, pick
 from pecjax.envs.rooms.plans import make_plans

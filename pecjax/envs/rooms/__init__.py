@@ -7,8 +7,8 @@ from pecjax.envs.rooms.config import (
     Configurations as Configurations,
     load_coordinates as load_coordinates,
 )
+from pecjax.envs.rooms.controller import ControllerGains as ControllerGains
 from pecjax.envs.rooms.depth import depth_image as depth_image
-from pecjax.envs.rooms.flight import ControllerGains as ControllerGains
 from pecjax.envs.rooms.rules import NavigationSettings as NavigationSettings
 from pecjax.envs.rooms.scene import Scene as Scene, load_scene as load_scene
 from pecjax.envs.rooms.settings import Rooms as Rooms

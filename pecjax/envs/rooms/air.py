@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +12,9 @@ from pecjax.envs.rooms.rotations import dot
 
 
 def drag_force(
-    drag: tuple[float, float, float], air: jax.Array, rotation: jax.Array, velocity: jax.Array
-) -> jax.Array:
-    """Force (3,) N in the world of air that moves past the drone.
+    drag: tuple[float, float, float], air: Any, rotation: Any, velocity: Any
+) -> tuple[jax.Array, ...]:
+    """Force in N in the world, scalar by scalar, of air that moves past the drone.
 
     -c |u| u along each axis of the drone, where u is its velocity relative to the air, as in
     hector_quadrotor (Meyer et al. 2012, `quadrotor_aerodynamics`), without the drag of rotation.
@@ -21,12 +22,14 @@ def drag_force(
     Args:
         drag: c along the drone's own x, y and z, N s²/m².
         air, velocity: (3,) m/s of the air and of the drone, in the world.
-        rotation: (3, 3), columns are the drone's axes in the world.
+        rotation: (3, 3), columns are the drone's axes in the world. These three may be tuples of scalars.
     """
-    relative = velocity - air
+    relative = tuple(v - a for v, a in zip(velocity, air, strict=True))
     speed = jnp.sqrt(dot(relative, relative))
-    along = (c * speed * dot(axis, relative) * axis for c, axis in zip(drag, rotation.T, strict=True))
-    return -sum(along, start=jnp.zeros_like(relative))
+    along = [
+        c * speed * dot(axis, relative) for c, axis in zip(drag, zip(*rotation, strict=True), strict=True)
+    ]
+    return tuple(-dot(along, row) for row in rotation)
 
 
 def first_gust(key: jax.Array, deviation: jax.Array) -> jax.Array:

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from pecjax.envs.rooms.maps import FEW_WALLS, Walls
+from pecjax.envs.rooms.rotations import dot
 
 
 def wall_distance(walls: Walls, points: jax.Array) -> jax.Array:
@@ -14,18 +15,24 @@ def wall_distance(walls: Walls, points: jax.Array) -> jax.Array:
     A sphere of radius r around a point touches a wall where this is at most r.
     Oracle: C MuJoCo's sphere-box contacts.
     """
+    return jnp.sqrt(squared_distance(walls, tuple(points[..., axis] for axis in range(3))))
+
+
+def squared_distance(walls: Walls, places: tuple[jax.Array, ...]) -> jax.Array:
+    """The square of `wall_distance`, of points as three coordinates (…,) m each."""
 
     def nearer(best: jax.Array, wall: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
         lower, upper = wall
         beyond = [
-            jnp.maximum(jnp.maximum(lower[axis] - points[..., axis], points[..., axis] - upper[axis]), 0)
-            for axis in range(3)
+            jnp.maximum(jnp.maximum(lower[axis] - place, place - upper[axis]), 0)
+            for axis, place in enumerate(places)
         ]
-        return jnp.minimum(best, beyond[0] ** 2 + beyond[1] ** 2 + beyond[2] ** 2), None
+        return jnp.minimum(best, dot(beyond, beyond)), None
 
-    corners = (jnp.asarray(walls.lower, points.dtype), jnp.asarray(walls.upper, points.dtype))
-    furthest = jnp.full(points.shape[:-1], jnp.inf, points.dtype)
-    return jnp.sqrt(jax.lax.scan(nearer, furthest, corners, unroll=FEW_WALLS)[0])
+    dtype = places[0].dtype
+    corners = (jnp.asarray(walls.lower, dtype), jnp.asarray(walls.upper, dtype))
+    furthest = jnp.full(places[0].shape, jnp.inf, dtype)
+    return jax.lax.scan(nearer, furthest, corners, unroll=FEW_WALLS)[0]
 
 
 def least_distance(walls: Walls, points: jax.Array) -> jax.Array:

@@ -54,4 +54,6 @@ def make_bank(maps: Sequence[Any]) -> MapBank:
 
 def pick(bank: MapBank, map_id: jax.Array) -> Walls:
     """The walls of one map of the bank."""
+    if bank.lower.shape[0] == 1:  # not a copy for every environment of a batch
+        return Walls(jnp.asarray(bank.lower)[0], jnp.asarray(bank.upper)[0])
     return Walls(jnp.asarray(bank.lower)[map_id], jnp.asarray(bank.upper)[map_id])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pecjax.envs.rooms.flight import ControllerGains
+from pecjax.envs.rooms.controller import ControllerGains
 from pecjax.errors import InputError
 
 MAX_PHYSICS_STEPS = 1000  # in one control period

@@ -61,6 +61,7 @@ def load_scene(
     resolution: tuple[int, int] | None = None,
     like: Vehicle | None = None,
     approximate: float | None = None,
+    by_mjx: bool = False,
 ) -> Scene:
     """Reads a map and its drone from an MJCF file or a text plan.
 
@@ -74,6 +75,8 @@ def load_scene(
         resolution: (width, height) in pixels of the depth image, instead of the file's.
         like: the drone that it must have, of another map of the same task.
         approximate: m; other shapes then become boxes that hold them and reach at most so far beyond.
+        by_mjx: whether MJX takes the physics steps even of a drone that only gravity and its rotors act on,
+            whose steps are otherwise taken in closed form.
 
     Raises:
         InputError: the file is missing, is not MJCF, or lacks one of the above; or a resolution of too
@@ -90,4 +93,4 @@ def load_scene(
     if resolution is not None:
         model.cam_resolution[:] = resolution
     walls = read_map(map_file, drone)
-    return Scene(model, read_vehicle(map_file, drone, like), walls, map_file.text, map_file.notices)
+    return Scene(model, read_vehicle(map_file, drone, like, by_mjx), walls, map_file.text, map_file.notices)

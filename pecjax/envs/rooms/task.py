@@ -13,7 +13,8 @@ import numpy as np
 from pecjax.envs.rooms.air import first_gust, next_gust
 from pecjax.envs.rooms.camera_errors import with_errors
 from pecjax.envs.rooms.config import MAX_LATENCY, OBJECTIVES, REACH, Configurations
-from pecjax.envs.rooms.flight import Command, Conditions, DroneState, fly, hover
+from pecjax.envs.rooms.controller import Command
+from pecjax.envs.rooms.flight import Conditions, DroneState, fly, hover
 from pecjax.envs.rooms.maps import MapBank, pick
 from pecjax.envs.rooms.objectives import advance, first_progress, is_holding, one_hot, target
 from pecjax.envs.rooms.rules import NavigationSettings, physics_steps

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
-from pecjax.envs.rooms.quiet_mjx import mjx
+if TYPE_CHECKING:
+    from pecjax.envs.rooms.quiet_mjx import mjx
 
 # With contacts and constraints off nothing is left to solve, and the sparse mass matrix keeps
 # MJX away from batched LAPACK, which is slower and can hang (docs/performance.md).
@@ -61,7 +62,8 @@ class Vehicle:
     """The drone, whatever map it flies in.
 
     Attributes:
-        physics: the drone alone for MJX, its rotors left to `flight.physics_step`.
+        passive: what acts on it besides gravity and its rotors (see `passive_physics`).
+        mjx: the drone alone for MJX, where MJX steps it; None where `free_body.step` does.
         timestep: s, of the physics.
         gravity: m/s², along -z.
         radius: m, of its collision sphere.
@@ -71,7 +73,8 @@ class Vehicle:
         rotors: thrust and torque of the actuators.
     """
 
-    physics: mjx.Model
+    passive: dict[str, np.ndarray]
+    mjx: mjx.Model | None
     timestep: float
     gravity: float
     radius: float
@@ -113,6 +116,13 @@ def passive_physics(model: Any, drone: int) -> dict[str, np.ndarray]:
     numbers["gravcomp"] = model.body_gravcomp[drone]
     numbers["flags"] = int(model.opt.disableflags) | int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     return {name.rpartition("_")[2]: np.asarray(value, np.float32) for name, value in numbers.items()}
+
+
+def is_free_body(passive: dict[str, np.ndarray]) -> bool:
+    """Whether nothing but rotors, and gravity along -z, acts on the drone: then `free_body.step` is exact."""
+    others = ("damping", "armature", "stiffness", "density", "viscosity", "gravcomp")
+    is_pulled = not int(passive["flags"]) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    return is_pulled and not np.any(passive["gravity"][:2]) and not any(np.any(passive[n]) for n in others)
 
 
 def set_options(model: mujoco.MjModel) -> None:

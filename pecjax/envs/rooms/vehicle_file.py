@@ -9,9 +9,8 @@ import mujoco
 import numpy as np
 
 from pecjax.envs.rooms.mjcf_file import MapFile
-from pecjax.envs.rooms.quiet_mjx import mjx
 from pecjax.envs.rooms.solids import collides
-from pecjax.envs.rooms.vehicle import Camera, Rotors, Vehicle, drone_alone, passive_physics
+from pecjax.envs.rooms.vehicle import Camera, Rotors, Vehicle, drone_alone, is_free_body, passive_physics
 from pecjax.errors import InputError
 
 DEFAULT_DEPTH_RANGE = (0.1, 10.0)
@@ -42,16 +41,18 @@ def find_drone(map_file: MapFile) -> int:
     return drone
 
 
-def read_vehicle(map_file: MapFile, drone: int, like: Vehicle | None = None) -> Vehicle:
+def read_vehicle(map_file: MapFile, drone: int, like: Vehicle | None = None, by_mjx: bool = False) -> Vehicle:
     """The drone of an MJCF file.
 
     Args:
         like: a vehicle that it must be equal to; its physics are used again.
+        by_mjx: whether MJX steps it even where its steps have a closed form.
 
     Raises:
         InputError: it lacks something, or is another one than `like`.
     """
     model = map_file.model
+    passive = passive_physics(model, drone)
     parts = {
         "timestep": float(model.opt.timestep),
         "gravity": -float(model.opt.gravity[2]),
@@ -62,20 +63,24 @@ def read_vehicle(map_file: MapFile, drone: int, like: Vehicle | None = None) -> 
         "rotors": read_rotors(map_file, drone),
     }
     if like is not None:
-        first = {name: getattr(like, name) for name in parts} | passive_physics(like.physics, 1)
-        for name, part in (parts | passive_physics(model, drone)).items():
+        first = {name: getattr(like, name) for name in parts} | like.passive
+        for name, part in (parts | passive).items():
             if not _equal(part, first[name]):
                 raise InputError(
                     f"{map_file.path}: its drone differs in {name} from that of the first map; all maps of a "
                     "task need the same drone, in the same air"
                 )
         return like
+    if is_free_body(passive) and not by_mjx:
+        return Vehicle(passive, None, **parts)
+    from pecjax.envs.rooms.quiet_mjx import mjx  # takes seconds to import, and most drones do without
+
     try:
         # Its own choice is the first device of all, which may be another process's.
         physics = mjx.put_model(drone_alone(model, drone), device=jax.local_devices()[0])
     except NotImplementedError as error:  # MJX's own word for a feature that only MuJoCo has
         raise InputError(f"{map_file.path}: MJX cannot simulate it: {error}") from error
-    return Vehicle(physics, **parts)
+    return Vehicle(passive, physics, **parts)
 
 
 def _equal(one: Any, other: Any) -> bool:
