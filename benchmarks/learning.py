@@ -13,10 +13,11 @@ from workloads import SAME, Workload, sharded, waiting
 from pecjax.agents import AXIS, PPO, AgentSettings, Apex, shard
 from pecjax.agents.apex import replay
 from pecjax.agents.distributions import make_distribution
-from pecjax.agents.networks import ActorCritic, forward
-from pecjax.agents.observations import encode, image_shapes
+from pecjax.agents.networks import forward
+from pecjax.agents.observations import encode
+from pecjax.agents.ppo.agent import critic_features, make_network
 from pecjax.agents.ppo.update import Learner, make_optimizer, prepare, update
-from pecjax.agents.rollout import Trajectory
+from pecjax.agents.rollout import Seen, Trajectory
 from pecjax.agents.sharding import env_keys
 from pecjax.curriculum import Outcomes, Sampler
 from pecjax.envs.task import Task, World
@@ -41,7 +42,7 @@ def training(task: Task, world: World, sampler: Sampler, mesh: Mesh, settings: A
 def learner(task: Task, mesh: Mesh, settings: PPO) -> tuple[Workload, Workload]:
     """The policy's step (forward and draw) and the update, on made-up batches."""
     space, distribution = task.observation_space, make_distribution(task.action_space)
-    network = ActorCritic(settings.network, distribution.num_params, image_shapes(space))
+    network = make_network(task, settings)
     key = jax.random.key(0)
     shape = (settings.num_steps, settings.num_envs)
     obs = {
@@ -49,24 +50,29 @@ def learner(task: Task, mesh: Mesh, settings: PPO) -> tuple[Workload, Workload]:
         "goal": jax.random.normal(key, (*shape, *space["goal"].shape)),
     }
     features = encode(space, obs)
-    params = network.init(key, features[0, :1])
+    known = encode(task.privileged_space, jax.random.normal(key, (*shape, *task.privileged_space.shape)))
+    seen = Seen(obs, known)
+    known = critic_features(task, seen) if network.is_privileged else None
+    params = network.init(key, features[0, :1], None if known is None else known[0, :1])
     optimizer = make_optimizer(settings)
     state = Learner(params, optimizer.init(params), jnp.float32(0))
-    logits, value = jax.jit(lambda f: forward(network, params, f))(features)
+    logits, value = jax.jit(lambda *f: forward(network, params, *f))(features, known)
     action = jax.random.randint(key, shape, 0, distribution.num_params)
     reward = jax.random.normal(key, shape)
     done = jnp.float32(reward > 2)
-    trajectory = Trajectory(None, action, reward, done, None, (features, action, logits, value))
+    recorded = features.astype(jnp.bfloat16 if settings.network.precision == "bfloat16" else jnp.float32)
+    trajectory = Trajectory(None, action, reward, done, None, (recorded, known, action, logits, value))
 
-    def act(params, obs, key):
-        noise = jax.random.uniform(key, obs["goal"].shape[:2])
+    def act(params, seen, key):
+        noise = jax.random.uniform(key, seen.obs["goal"].shape[:2])
 
         def step(_, row):
-            obs, noise = row
-            logits, _ = forward(network, params, encode(space, obs))
-            return None, distribution.draw(logits, noise)
+            seen, noise = row
+            known = critic_features(task, seen) if network.is_privileged else None
+            logits, value = forward(network, params, encode(space, seen.obs), known)
+            return None, (distribution.draw(logits, noise), value)
 
-        return jax.lax.scan(step, None, (obs, noise))[1]
+        return jax.lax.scan(step, None, (seen, noise))[1]
 
     def learn(state, trajectory, key):
         batch = prepare(settings, trajectory, trajectory.reward[0], AXIS)
@@ -78,9 +84,9 @@ def learner(task: Task, mesh: Mesh, settings: PPO) -> tuple[Workload, Workload]:
     amount = settings.num_steps * settings.num_envs
     # Where they are in a training: not to be copied there at every call.
     params, state, key = (jax.device_put(x, jax.NamedSharding(mesh, SAME)) for x in (params, state, key))
-    obs, trajectory = (jax.device_put(x, jax.NamedSharding(mesh, over_envs)) for x in (obs, trajectory))
+    seen, trajectory = (jax.device_put(x, jax.NamedSharding(mesh, over_envs)) for x in (seen, trajectory))
     return (
-        Workload(waiting(policy, params, obs, key), amount, "control steps/s"),
+        Workload(waiting(policy, params, seen, key), amount, "control steps/s"),
         Workload(waiting(learning, state, trajectory, key), amount, "control steps/s"),
     )
 

@@ -169,10 +169,10 @@ def environment(
 ) -> Workload:
     """Our environment under random actions: flight, depth, reward, endings, resets, draws, counts."""
 
-    def random_actions(obs, chance):
+    def random_actions(seen, chance):
         return (chance * task.action_space.num_actions).astype(jnp.int32), ()
 
-    policy = Policy(jax.random.uniform, random_actions, lambda obs: jnp.zeros(num_envs))
+    policy = Policy(jax.random.uniform, random_actions, lambda seen: jnp.zeros(num_envs))
 
     def batch(world, envs, sampler_state, key):
         ids = global_ids(envs.running.length.shape[0], AXIS)

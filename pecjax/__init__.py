@@ -16,13 +16,13 @@ if TYPE_CHECKING:
         ControllerGains as ControllerGains,
         NavigationSettings as NavigationSettings,
         Rooms as Rooms,
-        RoomsNavigation as RoomsNavigation,
         Scene as Scene,
         check_coordinates as check_coordinates,
         depth_image as depth_image,
         load_coordinates as load_coordinates,
         load_scene as load_scene,
     )
+    from pecjax.envs.rooms.brax_env import RoomsNavigation as RoomsNavigation
     from pecjax.envs.task import Task as Task, TaskSettings as TaskSettings
     from pecjax.export.files import export_policy as export_policy
     from pecjax.runtime.devices import use_all_cores as use_all_cores
@@ -52,7 +52,6 @@ _NAMES = {
             "ControllerGains",
             "NavigationSettings",
             "Rooms",
-            "RoomsNavigation",
             "Scene",
             "check_coordinates",
             "depth_image",
@@ -61,6 +60,7 @@ _NAMES = {
         ),
         "pecjax.envs.rooms",
     ),
+    "RoomsNavigation": "pecjax.envs.rooms.brax_env",  # Brax takes a second to import
     "Task": "pecjax.envs.task",
     "TaskSettings": "pecjax.envs.task",
     "export_policy": "pecjax.export.files",

@@ -41,6 +41,10 @@ def check_task(task, world, steps=60, episodes=6):
     seen = observe(keys, state, world.params)
     of_boxes = [box.shape for box in jax.tree.leaves(task.observation_space)]
     assert [leaf.shape[1:] for leaf in jax.tree.leaves(seen)] == of_boxes, "as the space says"
+    if task.privileged_space is not None:
+        known = jax.jit(jax.vmap(task.privileged, (0, None)))(state, world.params)
+        of_boxes = [box.shape for box in jax.tree.leaves(task.privileged_space)]
+        assert [leaf.shape[1:] for leaf in jax.tree.leaves(known)] == of_boxes, "as the space says"
     # All that is drawn is drawn from the key, also where it is traced anew.
     again = jax.jit(lambda *args: reset(*args))(keys, take_configs(world.table, ids), world.params)
     jax.tree.map(np.testing.assert_array_equal, state, again)

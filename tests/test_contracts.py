@@ -31,6 +31,13 @@ class Blind(Target):
     observation_space = Box((3,))
 
 
+class Boastful(Target):
+    privileged_space = Box((2,))
+
+    def privileged(self, state, params):
+        return jnp.ones(1)
+
+
 class Named(Target):
     observation_space: ClassVar = {"seen": Box((1,))}
 
@@ -53,6 +60,7 @@ def test_a_task_that_keeps_its_contract_passes(task):
     ("task", "words"),
     [
         (Blind(), r"test_contracts:Blind: observe is \(1,\) where observation_space says \(3,\)"),
+        (Boastful(), r"Boastful: privileged is \(1,\) where privileged_space says \(2,\)"),
         (Named(), r"observe is a tree .* where observation_space says .*'seen'"),
         (Pair(), "step gives tuple; give a Transition"),
         (Median(), r"metrics has \['median'\]; a metric is one of .*'mean'"),

@@ -237,6 +237,16 @@ def test_turning_left_takes_the_goal_to_the_right(env, step):
     assert np.all(np.diff(bearings) < 0) and bearings[-1] < -0.4
 
 
+def test_what_a_critic_is_told_of_the_drone_by_hand(env):
+    """Flying to the north at 2 m/s while it slips 1 m/s to the west, looking north."""
+    state = begin(env, (3, -2), (0, 0), np.pi / 2).pipeline_state
+    qvel = jnp.float32([-1, 2, 0.5, 0, 0, 0.25])
+    state = state._replace(qvel=qvel, qpos=state.qpos.at[2].set(1.3), step_count=500, hover_count=5)
+    found = env.task.privileged(state, env.params)
+    np.testing.assert_allclose(found, [0.3, -0.2, 0, 1, 1, 0.5, 0.5, 0.25, 0.1, 0.5, 0.5], atol=1e-6)
+    assert env.task.privileged(state._replace(hover_count=900), env.params)[-1] == 2
+
+
 def test_reset_draws_every_row_and_every_heading_alike(env):
     keys = jax.random.split(jax.random.PRNGKey(3), 4000)
     state = jax.jit(jax.vmap(env.reset))(keys)

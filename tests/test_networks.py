@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pecjax.agents.networks import ActorCritic, NetworkSettings, forward, patches
+from pecjax.agents.networks import ActorCritic, NetworkSettings, decide, forward, patches
 from pecjax.agents.observations import boxes, encode, image_shapes, num_values
+from pecjax.agents.products import bfloat16_product
 from pecjax.envs.rooms.sensing import scale
 from pecjax.envs.spaces import Box
 
@@ -180,6 +181,46 @@ def test_images_come_first_in_the_features_whatever_their_place(batch):
     assert image_shapes(MANY) == ((2, 3), (17, 20, 3))
     assert num_values(MANY) == flat.shape[-1] == 6 + 17 * 20 * 3 + 2 + 1 + 1
     assert [box.shape for box in boxes(MANY)] == [(2, 3), (17, 20, 3), (2,), (), (1,)]
+
+
+@pytest.mark.parametrize("settings", [MLP, CNN], ids=["mlp", "cnn"])
+def test_a_privileged_critic_reads_what_it_knows_and_the_actor_does_not(settings):
+    network = ActorCritic(settings, ACTIONS, image_shapes(space(48, 64)), is_privileged=True)
+    rows, others = (features(3, height=48, width=64, seed=seed) for seed in (0, 1))
+    known = jnp.asarray(np.random.default_rng(2).normal(size=(3, 7)), jnp.float32)
+    params = network.init(jax.random.key(0), rows[:1], known[:1])
+    logits, value = forward(network, params, rows, known)
+    assert logits.shape == (3, ACTIONS) and value.shape == (3,)
+    of_others, same_value = forward(network, params, others, known)
+    same_logits, other_value = forward(network, params, rows, -known)
+    np.testing.assert_array_equal(same_value, value)
+    np.testing.assert_array_equal(same_logits, logits)
+    assert np.abs(of_others - logits).min(axis=0).max() > 0 and np.abs(other_value - value).min() > 0
+    np.testing.assert_array_equal(decide(network, params, rows), logits)
+    assert "critic_convolutions" not in params["params"]  # it sees no image
+
+
+@pytest.mark.parametrize("batch", [(), (5,), (2, 3)])
+def test_products_of_16_bits_are_those_of_rounded_numbers(batch):
+    """And so are their gradients; sums are of 32 bits."""
+    draw = np.random.default_rng(3)
+    x, kernel, pull = (draw.normal(size=shape) for shape in ((*batch, 40), (40, 6), (*batch, 6)))
+
+    def rounded(array):
+        return np.float64(jnp.asarray(array, jnp.bfloat16))
+
+    def product(x, kernel):
+        return bfloat16_product(x, kernel, (((x.ndim - 1,), (0,)), ((), ())))
+
+    found, pull_back = jax.vjp(product, jnp.float32(x), jnp.float32(kernel))
+    of_x, of_kernel = pull_back(jnp.float32(pull))
+    close = {"rtol": 1e-5, "atol": 1e-5}
+    np.testing.assert_allclose(found, rounded(x) @ rounded(kernel), **close)
+    np.testing.assert_allclose(of_x, rounded(pull) @ rounded(kernel).T, **close)
+    columns = rounded(x).reshape(-1, 40).T
+    np.testing.assert_allclose(of_kernel, columns @ rounded(pull).reshape(-1, 6), **close)
+    assert found.dtype == of_x.dtype == of_kernel.dtype == jnp.float32
+    assert np.abs(np.asarray(found) - x @ kernel).max() > 1e-3  # and it matters
 
 
 def test_an_observation_that_is_one_array_is_a_space_of_one_box():

@@ -35,7 +35,7 @@ RLLIB = PRESETS["rllib085"].agent
 ROWS, ACTIONS = 64, 15
 
 # Stands in for a network: its parameters are the logits and values themselves.
-IDENTITY = SimpleNamespace(apply=lambda params, obs: params)
+IDENTITY = SimpleNamespace(apply=lambda params, features, known: params)
 
 
 def random_batch(seed: int):
@@ -49,6 +49,7 @@ def random_batch(seed: int):
     value = normal(300, ROWS)
     batch = Batch(
         features=None,
+        known=None,
         drawn=draw.integers(0, ACTIONS, ROWS).astype(np.int32),
         params=old,
         value=value,
@@ -157,7 +158,7 @@ def test_terms_of_continuous_actions_equal_scipys():
     of, (old, new) = tanh_normal(box), draw.normal(0, 0.5, (2, ROWS, 4)).astype(np.float32)
     noise = draw.normal(size=(ROWS, 2)).astype(np.float32)
     advantage, value = draw.normal(size=(2, ROWS)).astype(np.float32)
-    batch = Batch(None, of.draw(old, noise), old, value, advantage, value)
+    batch = Batch(None, None, of.draw(old, noise), old, value, advantage, value)
     settings = replace(RLLIB, entropy_coeff=0.2)
     total, terms = ppo_update.loss(IDENTITY, of, settings, (new, value), batch, jnp.float32(1.7))
 
@@ -180,7 +181,7 @@ def test_terms_of_continuous_actions_equal_scipys():
 def trajectory_of(rewards, values, dones, bootstrap=None) -> Trajectory:
     logits = np.zeros((*values.shape, ACTIONS), np.float32)
     drawn = np.zeros(values.shape, np.int32)
-    return Trajectory(None, drawn, rewards, dones, bootstrap, (None, drawn, logits, values))
+    return Trajectory(None, drawn, rewards, dones, bootstrap, (None, None, drawn, logits, values))
 
 
 def random_trajectory(scale: float = 500.0):
@@ -209,7 +210,7 @@ def test_advantages_are_standardised_over_the_whole_batch(devices, reward_scale)
     settings = replace(RLLIB, reward_scale=reward_scale)
     trajectory, last_value = random_trajectory()
     batch = prepared(settings, trajectory, last_value, devices)
-    values = jnp.concatenate([trajectory.extras[3], last_value[None]])
+    values = jnp.concatenate([trajectory.extras[4], last_value[None]])
     raw = jax.vmap(rlax.truncated_generalized_advantage_estimation, (1, 1, None, 1), 1)(
         reward_scale * trajectory.reward, 0.99 * (1 - trajectory.done), 0.95, values
     )
@@ -235,7 +236,7 @@ def test_a_tiny_deviation_counts_as_a_ten_thousandth(devices):
     trajectory, last_value = random_trajectory(scale=1e-6)
     dones = np.ones_like(trajectory.done)  # advantage = reward - value
     batch = prepared(RLLIB, trajectory._replace(done=dones), last_value, devices)
-    raw = np.float64(trajectory.reward) - trajectory.extras[3]
+    raw = np.float64(trajectory.reward) - trajectory.extras[4]
     # The rewards lie around -1 with a spread of 1e-6, of which float32 keeps 6e-8.
     np.testing.assert_allclose(batch.advantage, (raw - raw.mean()) / 1e-4, atol=2e-3)
     assert batch.advantage.std() < 0.05
@@ -261,8 +262,14 @@ def test_a_kl_coefficient_that_halves_for_ever_can_still_rise():
     assert ppo_update.adapt_kl_coeff(jnp.float32(0.0), jnp.float32(1.0), 0.01) == 0
 
 
+def minibatch_rows(settings, key, num_rows):
+    """The rows of every minibatch of every epoch."""
+    rows, order = ppo_update.shuffle(settings, key, num_rows)
+    return np.asarray(rows[order])
+
+
 def test_samples_are_shuffled_once_and_then_only_their_parts():
-    rows = np.asarray(ppo_update.minibatch_rows(RLLIB, jax.random.key(0), 5000))
+    rows = minibatch_rows(RLLIB, jax.random.key(0), 5000)
     assert rows.shape == (30 * 39, 128)
     epochs = [[tuple(part) for part in epoch] for epoch in rows.reshape(30, 39, 128)]
     assert all(set(epoch) == set(epochs[0]) for epoch in epochs)
@@ -270,7 +277,7 @@ def test_samples_are_shuffled_once_and_then_only_their_parts():
     # 5000 = 39 × 128 + 8: every row at most once, and not simply the last ones left out
     assert len(np.unique(rows[:39])) == 39 * 128
     assert rows.min() >= 0 and rows.max() < 5000
-    other = np.asarray(ppo_update.minibatch_rows(RLLIB, jax.random.key(1), 5000))
+    other = minibatch_rows(RLLIB, jax.random.key(1), 5000)
     dropped = [set(range(5000)) - set(r[:39].ravel().tolist()) for r in (rows, other)]
     assert dropped[0] != dropped[1] and set(range(4992, 5000)) not in dropped
     assert abs(np.corrcoef(rows[:39].ravel(), np.arange(4992))[0, 1]) < 0.1
@@ -280,7 +287,7 @@ def test_the_shuffles_of_one_key_are_independent():
     """The order of the parts must not follow from the draw that made them."""
     key = jax.random.key(4)
     settings = replace(RLLIB, num_minibatches=50, num_epochs=8)
-    rows = np.asarray(ppo_update.minibatch_rows(settings, key, 50))  # parts of a single row
+    rows = minibatch_rows(settings, key, 50)  # parts of a single row
     first, *others = rows.reshape(8, 50)
     # Were an epoch's order drawn with the key of the one shuffle p, it would be p of p.
     for once in jax.random.split(key, 8):
@@ -289,13 +296,16 @@ def test_the_shuffles_of_one_key_are_independent():
             assert not np.array_equal(epoch, permuted[permuted])
 
 
-def test_steps_are_permuted_anew_each_epoch_and_all_used():
+def test_steps_are_cut_once_and_all_used_in_every_epoch():
     settings = PPO(num_steps=32, num_epochs=6, num_minibatches=8)
-    rows = np.asarray(ppo_update.minibatch_rows(settings, jax.random.key(0), 32))
+    rows = minibatch_rows(settings, jax.random.key(0), 32)
     assert rows.shape == (6 * 8, 4)
     epochs = rows.reshape(6, 32)
     np.testing.assert_array_equal(np.sort(epochs, axis=1), np.tile(np.arange(32), (6, 1)))
-    assert len({frozenset(map(frozenset, e.reshape(8, 4).tolist())) for e in epochs}) == 6
+    assert len({frozenset(map(frozenset, e.reshape(8, 4).tolist())) for e in epochs}) == 1
+    assert len({tuple(epoch) for epoch in epochs}) == 6
+    other = minibatch_rows(settings, jax.random.key(1), 32)
+    assert set(map(frozenset, rows.tolist())) != set(map(frozenset, other.tolist()))
 
 
 def test_the_preset_rllib085_holds_every_value_of_rllib_and_of_the_paper():
@@ -311,7 +321,9 @@ def test_the_preset_rllib085_holds_every_value_of_rllib_and_of_the_paper():
     assert found.value_clip == 10 and found.value_coeff == 1.0 and found.entropy_coeff == 0
     assert found.discount == 0.99 and found.gae_lambda == 0.95 and found.clip_epsilon == 0.2
     assert found.max_grad_norm is None and found.reward_scale == 1.0
-    assert found.network == NetworkSettings(encoder="mlp", hidden=(256, 256), initializer="normc")
+    assert found.network == NetworkSettings(
+        "observation", "float32", encoder="mlp", hidden=(256, 256), initializer="normc"
+    )
     assert preset.stop.iterations == 1500 and preset.sampler == PEC(alpha=0.2)
     assert preset.evaluation.every == 100 and preset.evaluation.episodes == 50
     assert preset.task == pecjax.Rooms()  # the paper's six rooms and set 1
@@ -327,7 +339,8 @@ SMALL = PPO(
     num_envs=128,
     num_minibatches=4,
     learning_rate=1e-3,
-    network=NetworkSettings(hidden=(32,)),
+    # What devices sum up in another order would be rounded to another number of 8 bits.
+    network=NetworkSettings(precision="float32", hidden=(32,)),
 )
 SHUFFLES = {
     "steps": SMALL,
@@ -486,7 +499,7 @@ def test_two_devices_take_the_same_minibatches_as_one(shuffle, num_minibatches):
 
     features = normal(3 * 4 + 3)
     action = jnp.asarray(draw.integers(0, ACTIONS, (16, 8)), jnp.int32)
-    batch = Batch(features, action, normal(ACTIONS), normal(), normal(), normal())
+    batch = Batch(features, None, action, normal(ACTIONS), normal(), normal(), normal())
     network = ActorCritic(settings.network, ACTIONS, ((3, 4),))
     optimizer = optax.adam(settings.learning_rate)
     params = jax.jit(network.init)(jax.random.key(0), features)

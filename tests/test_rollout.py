@@ -30,12 +30,12 @@ TABLE = fill(
 )
 
 
-def anything(obs, chance):
+def anything(seen, chance):
     """Any action, whatever is seen."""
     return (chance * 15).astype(jnp.int32), chance
 
 
-def no_value(obs):
+def no_value(seen):
     raise AssertionError("what a task that never truncates is never asked")
 
 
@@ -328,8 +328,8 @@ def walks():
     """Successive batches of walks, shorter than a walk may be: (trajectory, episodes)."""
     policy = Policy(
         lambda key: jax.random.bernoulli(key, 0.6).astype(jnp.int32),
-        lambda obs, noise: (noise, ()),
-        lambda obs: 1000 + obs[:, 0],
+        lambda seen, noise: (noise, ()),
+        lambda seen: 1000 + seen.obs[:, 0],
     )
     task, sampler, envs = Walk(), uniform(3), None
     envs = init_rollout(task, WALK, sampler, sampler.init(), jax.random.key(0), 16)

@@ -67,7 +67,8 @@ def categorical(num_actions: int) -> Distribution:
         return jnp.sum(uniform[..., None] >= reached, axis=-1, dtype=jnp.int32)
 
     def log_prob(logits: jax.Array, action: jax.Array) -> jax.Array:
-        return jnp.take_along_axis(jax.nn.log_softmax(logits), action[..., None], axis=-1)[..., 0]
+        chosen = action[..., None] == jnp.arange(num_actions)  # no gather: its gradient would be a scatter
+        return jnp.sum(jnp.where(chosen, jax.nn.log_softmax(logits), 0.0), axis=-1)
 
     def kl(old: jax.Array, new: jax.Array) -> jax.Array:
         old, new = jax.nn.log_softmax(old), jax.nn.log_softmax(new)

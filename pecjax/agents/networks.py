@@ -11,12 +11,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pecjax.agents.products import bfloat16_product
+
 
 @dataclass(frozen=True)
 class NetworkSettings:
     """Settings of the actor and the critic, which share no layer.
 
     Attributes:
+        critic: what the critic reads: `observation` is what the actor reads; `privileged` is what the task
+            tells a critic of its state, with what of the observation is no image. It is the same as
+            `observation` where the task tells nothing.
+        precision: of the operands of matrix products, whose sums are float32 in any case.
         encoder: `mlp` flattens the image; `cnn` passes it through three convolutions that shrink
             it 16 times each way, for images of about 32 pixels and more.
         hidden: widths of the tanh layers.
@@ -24,6 +30,8 @@ class NetworkSettings:
             `normc` (unit-norm columns, 0.01 at both outputs, as in RLlib 0.8.5).
     """
 
+    critic: Literal["privileged", "observation"] = "privileged"
+    precision: Literal["bfloat16", "float32"] = "bfloat16"
     encoder: Literal["mlp", "cnn"] = "mlp"
     hidden: tuple[int, ...] = (64, 64)
     initializer: Literal["orthogonal", "normc"] = "orthogonal"
@@ -49,38 +57,48 @@ class ActorCritic(nn.Module):
     Attributes:
         num_outputs: P.
         image_shapes: (H, W) or (H, W, C) of the images that the features begin with.
+        is_privileged: whether the critic has features of its own.
     """
 
     settings: NetworkSettings
     num_outputs: int
     image_shapes: tuple[tuple[int, ...], ...]
+    is_privileged: bool = False
 
     @nn.compact
-    def __call__(self, features: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """See `forward`, which is this with the parameters given."""
+    def __call__(
+        self, features: jax.Array, known: jax.Array | None = None, with_value: bool = True
+    ) -> tuple[jax.Array, jax.Array | None]:
+        """See `forward`, which is this with the parameters given.
+
+        Args:
+            known: (…, K), the critic's features, where it has its own.
+            with_value: whether the critic is asked, too.
+        """
         settings = self.settings
-        critic_gain = 0.01 if settings.initializer == "normc" else 1.0
-        outputs = {"actor": (self.num_outputs, 0.01), "critic": (1, critic_gain)}
-        if settings.encoder == "cnn":
-            first = [
-                _dense(settings, settings.hidden[0], f"{name}_0")(
-                    _Convolutions(self.image_shapes, name=f"{name}_convolutions")(features)
-                )
-                for name in outputs
-            ]
-        else:
+        if settings.encoder == "mlp" and not self.is_privileged:
             # Both first layers in one matrix product: they read the same features, most of the work.
-            both = nn.Dense(
-                2 * settings.hidden[0], kernel_init=_two_halves(_kernel_init(settings)), name="first"
-            )
-            first = jnp.split(both(features), 2, axis=-1)
-        result = []
-        for (name, (width, gain)), x in zip(outputs.items(), first, strict=True):
-            for layer, hidden in enumerate(settings.hidden[1:], 1):
-                x = _dense(settings, hidden, f"{name}_{layer}")(nn.tanh(x))
-            result.append(_dense(settings, width, f"{name}_output", gain)(nn.tanh(x)))
-        logits, value = result
-        return logits, value[..., 0]
+            both = _dense(settings, 2 * settings.hidden[0], "first", _two_halves(_kernel_init(settings)))
+            actor, critic = jnp.split(both(features), 2, axis=-1)
+        else:
+            actor, critic = self._first("actor", features), None
+            if with_value:
+                critic = self._first("critic", known if self.is_privileged else features)
+        params = self._others("actor", actor, self.num_outputs, 0.01)
+        if critic is None or not with_value:
+            return params, None
+        gain = 0.01 if settings.initializer == "normc" else 1.0
+        return params, self._others("critic", critic, 1, gain)[..., 0]
+
+    def _first(self, name: str, x: jax.Array) -> jax.Array:
+        if self.settings.encoder == "cnn" and not (name == "critic" and self.is_privileged):
+            x = _Convolutions(self.settings, self.image_shapes, name=f"{name}_convolutions")(x)
+        return _dense(self.settings, self.settings.hidden[0], f"{name}_0")(x)
+
+    def _others(self, name: str, x: jax.Array, width: int, gain: float) -> jax.Array:
+        for layer, hidden in enumerate(self.settings.hidden[1:], 1):
+            x = _dense(self.settings, hidden, f"{name}_{layer}")(nn.tanh(x))
+        return _dense(self.settings, width, f"{name}_output", _kernel_init(self.settings, gain))(nn.tanh(x))
 
 
 def _kernel_init(settings: NetworkSettings, gain: float = np.sqrt(2)) -> Initializer:
@@ -97,8 +115,13 @@ def _two_halves(init: Initializer) -> Initializer:
     return halves
 
 
-def _dense(settings: NetworkSettings, width: int, name: str, gain: float = np.sqrt(2)) -> nn.Dense:
-    return nn.Dense(width, kernel_init=_kernel_init(settings, gain), name=name)
+def _dense(settings: NetworkSettings, width: int, name: str, init: Initializer | None = None) -> nn.Dense:
+    init = init or _kernel_init(settings)
+    return nn.Dense(width, kernel_init=init, name=name, dot_general=_product(settings))
+
+
+def _product(settings: NetworkSettings) -> Callable[..., jax.Array] | None:
+    return bfloat16_product if settings.precision == "bfloat16" else None
 
 
 class _Convolutions(nn.Module):
@@ -108,17 +131,18 @@ class _Convolutions(nn.Module):
     which XLA is quick at on every device; its convolutions' gradients are slow on the CPU.
     """
 
+    settings: NetworkSettings
     image_shapes: tuple[tuple[int, ...], ...]
 
     @nn.compact
     def __call__(self, features: jax.Array) -> jax.Array:
-        parts = []
+        parts, product = [], _product(self.settings)
         for shape in self.image_shapes:
             pixels = int(np.prod(shape))
             x, features = features[..., :pixels], features[..., pixels:]
             x = x.reshape(*x.shape[:-1], *shape[:2], *(shape[2:] or (1,)))
             for channels, kernel in CONVOLUTIONS:
-                x = nn.relu(nn.Dense(channels)(patches(x, kernel)))
+                x = nn.relu(nn.Dense(channels, dot_general=product)(patches(x, kernel)))
             parts.append(x.reshape(*x.shape[:-3], -1))
         return jnp.concatenate([*parts, features], axis=-1)
 
@@ -132,6 +156,13 @@ def patches(image: jax.Array, size: int) -> jax.Array:
     return jnp.moveaxis(cut, -4, -3).reshape(*batch, rows, columns, size * size * channels)
 
 
-def forward(network: ActorCritic, params: Any, features: jax.Array) -> tuple[jax.Array, jax.Array]:
+def forward(
+    network: ActorCritic, params: Any, features: jax.Array, known: jax.Array | None = None
+) -> tuple[jax.Array, jax.Array]:
     """Parameters of the distribution (…, P) and values (…,) under the given parameters."""
-    return cast(tuple[jax.Array, jax.Array], network.apply(params, features))
+    return cast(tuple[jax.Array, jax.Array], network.apply(params, features, known))
+
+
+def decide(network: ActorCritic, params: Any, features: jax.Array) -> jax.Array:
+    """Parameters of the distribution (…, P) alone."""
+    return cast(tuple[jax.Array, None], network.apply(params, features, with_value=False))[0]

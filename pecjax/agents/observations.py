@@ -37,14 +37,14 @@ def num_values(space: Any) -> int:
 def encode(space: Any, obs: Any) -> jax.Array:
     """One row of features (…, F) per observation: its images pixel by pixel, then all else."""
     leaves = jax.tree.leaves(obs)
-    parts = [_flat(box, leaves[place]) for box, place in in_order(space)]
+    parts = [flatten(box, leaves[place]) for box, place in in_order(space)]
     return jnp.concatenate([jnp.asarray(part, jnp.float32) for part in parts], axis=-1)
 
 
 def pack(space: Any, obs: Any) -> tuple[jax.Array, ...]:
     """An observation as it is kept: (…, n) each; images of finite bounds in 255 steps of a byte."""
     leaves = jax.tree.leaves(obs)
-    return tuple(_packed(box, _flat(box, leaves[place])) for box, place in in_order(space))
+    return tuple(_packed(box, flatten(box, leaves[place])) for box, place in in_order(space))
 
 
 def unpack(space: Any, packed: tuple[jax.Array, ...]) -> jax.Array:
@@ -53,7 +53,8 @@ def unpack(space: Any, packed: tuple[jax.Array, ...]) -> jax.Array:
     return jnp.concatenate(parts, axis=-1)
 
 
-def _flat(box: Box, leaf: jax.Array) -> jax.Array:
+def flatten(box: Box, leaf: jax.Array) -> jax.Array:
+    """One box of an observation as a row of features (…, n)."""
     leading = leaf.shape[: leaf.ndim - len(box.shape)]
     return leaf.reshape(*leading, box.size)
 

@@ -14,19 +14,31 @@ from pecjax.curriculum.base import Sampler
 from pecjax.envs.task import Task, World, take_configs
 
 
+class Seen(NamedTuple):
+    """What an agent is given of its environments, leading axis B.
+
+    Attributes:
+        obs: the observations.
+        privileged: what only a critic may use, see `Task.privileged`; None of a task that gives nothing.
+    """
+
+    obs: Any
+    privileged: Any
+
+
 class Policy(NamedTuple):
     """How an agent acts in a rollout.
 
     Attributes:
         noise: (key) -> all the randomness that one action may have.
-        act: (observations (B, …), noise (B, …)) -> (actions (B, …), whatever else the agent wants
-            recorded of the step).
-        value: (observations (B, …)) -> (B,), what is bootstrapped from where a task truncates.
+        act: (what is seen, noise (B, …)) -> (actions (B, …), whatever else the agent wants recorded of
+            the step).
+        value: (what is seen) -> (B,), what is bootstrapped from where a task truncates.
     """
 
     noise: Callable[[jax.Array], Any]
-    act: Callable[[Any, Any], tuple[jax.Array, Any]]
-    value: Callable[[Any], jax.Array]
+    act: Callable[[Seen, Any], tuple[jax.Array, Any]]
+    value: Callable[[Seen], jax.Array]
 
 
 class RolloutState(NamedTuple):
@@ -105,6 +117,13 @@ def _observe(task: Task, world: World, keys: jax.Array, state: Any) -> Any:
     return jax.vmap(task.observe, in_axes=(0, 0, None))(keys, state, world.params)
 
 
+def see(task: Task, world: World, state: Any, obs: Any) -> Seen:
+    """What an agent is given of environments in these states, with these observations."""
+    if task.privileged_space is None:
+        return Seen(obs, None)
+    return Seen(obs, jax.vmap(task.privileged, in_axes=(0, None))(state, world.params))
+
+
 def rollout(
     task: Task,
     world: World,
@@ -128,13 +147,14 @@ def rollout(
     all_draws = _draw(sampler, sampler_state, policy.noise, env_keys(key, env_ids), num_steps)
 
     def step(envs: RolloutState, draws: _Draws) -> tuple[RolloutState, tuple[Trajectory, Episodes]]:
-        action, extras = policy.act(envs.obs, draws.noise)
+        action, extras = policy.act(see(task, world, envs.state, envs.obs), draws.noise)
         after = jax.vmap(task.step, in_axes=(0, 0, 0, None))(draws.step, envs.state, action, world.params)
         running, episodes = step_episodes(envs.running, after, task.metrics)
         done = episodes.outcomes.done
         bootstrap = None
         if task.truncates:
-            value = policy.value(_observe(task, world, draws.last_look, after.state))
+            last_obs = _observe(task, world, draws.last_look, after.state)
+            value = policy.value(see(task, world, after.state, last_obs))
             bootstrap = jnp.where(after.truncated & ~after.terminated, value, 0.0)
         trajectory = Trajectory(envs.obs, action, after.reward, jnp.float32(done), bootstrap, extras)
         # Observed once a step, what stands there now: the last sight of an episode is of no use.

@@ -77,6 +77,7 @@ class Task(abc.ABC):
     Attributes:
         observation_space: a `Box`, or a tree of them.
         action_space: `Discrete`, or a `Box` of finite bounds.
+        privileged_space: of what `privileged` gives, a `Box` or a tree of them; None where it gives nothing.
         max_steps: the most actions that an episode may take. The task itself ends it then.
         truncates: whether `truncated` is ever true. Otherwise the observation an episode ends with is
             never computed.
@@ -86,6 +87,7 @@ class Task(abc.ABC):
 
     observation_space: Any
     action_space: Box | Discrete
+    privileged_space: Any = None
     max_steps: int
     truncates: bool = False
     metrics: ClassVar[Mapping[str, Reduction]] = {}
@@ -101,6 +103,14 @@ class Task(abc.ABC):
     @abc.abstractmethod
     def observe(self, key: jax.Array, state: Any, params: Any) -> Any:
         """What the policy is given, scaled for networks: most of it between -1 and 1."""
+
+    def privileged(self, state: Any, params: Any) -> Any:
+        """What a critic may be given of the state beside what is observed, scaled likewise.
+
+        It is for training alone: no policy is shown it (Pinto et al. 2018, "Asymmetric actor critic for
+        image-based robot learning").
+        """
+        raise NotImplementedError(f"{type(self).__name__} has a privileged_space, but not `privileged`")
 
     def fitted(self, table: Any) -> Any:
         """A table of other configurations as this task flies it.

@@ -91,6 +91,8 @@ def _actor(graph: Graph, policy: Policy, params: dict[str, Any]) -> str:
     settings = policy.network.settings
     if settings.encoder == "cnn":
         x = graph.dense(_convolved(graph, policy, params["actor_convolutions"]), params["actor_0"])
+    elif policy.network.is_privileged:
+        x = graph.dense(_features(graph, policy), params["actor_0"])
     else:
         x = graph.dense(_features(graph, policy), params["first"], slice(settings.hidden[0]))
     for layer in range(1, len(settings.hidden)):

@@ -12,7 +12,7 @@ from pecjax.agents import PPO, Apex
 from pecjax.agents.apex.agent import make_network as make_q_network
 from pecjax.agents.apex.q_network import QNetwork, action_values
 from pecjax.agents.distributions import make_distribution
-from pecjax.agents.networks import ActorCritic, forward
+from pecjax.agents.networks import ActorCritic, decide
 from pecjax.agents.observations import encode, pack, unpack
 from pecjax.agents.ppo.agent import make_network as make_actor_critic
 from pecjax.envs.spaces import Box, Discrete
@@ -88,5 +88,5 @@ def evaluate(policy: Policy, inputs: dict[str, jax.Array]) -> dict[str, jax.Arra
         values = action_values(policy.network, policy.params, unpack(space, pack(space, obs)))
         return {policy.output: values, ACTION: jnp.argmax(values, axis=-1).astype(jnp.int32)}
     distribution = make_distribution(policy.action_space)
-    params, _ = forward(policy.network, policy.params, encode(space, obs))
+    params = decide(policy.network, policy.params, encode(space, obs))
     return {policy.output: params, ACTION: distribution.action(distribution.mode(params))}

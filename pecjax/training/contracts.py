@@ -62,6 +62,10 @@ def check_task(task: Task, world: World) -> None:
     key = jax.eval_shape(lambda: jax.random.key(0))
     state, transition, obs = jax.eval_shape(functools.partial(_first_step, task), key, world)
     _expect(f"{name}: observe", obs, _as_arrays(task.observation_space), "observation_space", types=False)
+    if task.privileged_space is not None:
+        known = jax.eval_shape(task.privileged, state, world.params)
+        promised = _as_arrays(task.privileged_space)
+        _expect(f"{name}: privileged", known, promised, "privileged_space", types=False)
     if not isinstance(transition, Transition):
         raise InputError(f"{name}: step gives {type(transition).__name__}; give a Transition")
     _expect(f"{name}: the state after step", transition.state, state, "the state of reset")

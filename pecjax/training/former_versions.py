@@ -26,13 +26,14 @@ def run_settings(content: Any) -> Any:
     """A run's settings: version 0.1 had those of map, evaluation and end at the top, and both learners'.
 
     Before maps could mark starts and goals, a table was never None, and set 1 where there was a space.
+    What is no dictionary is left to who reads settings.
     """
     if not isinstance(content, Mapping):
         return content
     if "algorithm" not in content:
-        return (
-            {**content, "task": {**content["task"], "table": None}} if _has_unused_table(content) else content
-        )
+        if _has_unused_table(content):
+            content = {**content, "task": {**content["task"], "table": None}}
+        return {**content, "agent": _with_network(content["agent"])} if "agent" in content else content
     agent = str(content["algorithm"])
     if agent not in _AGENTS:
         raise InputError(f"unknown algorithm '{agent}'; choose one of {', '.join(_AGENTS)}")
@@ -43,7 +44,9 @@ def run_settings(content: Any) -> Any:
     return {
         "task": _kind(Rooms, task),
         "sampler": _sampler(content),
-        "agent": _kind(_AGENTS[agent], {_RENAMED.get(n, n): value for n, value in numbers.items()}),
+        "agent": _with_network(
+            _kind(_AGENTS[agent], {_RENAMED.get(n, n): value for n, value in numbers.items()})
+        ),
         "evaluation": {
             name: content[former]
             for name, former in {
@@ -57,6 +60,14 @@ def run_settings(content: Any) -> Any:
         "stop": _taken(content, "iterations", "until_goal_ratio", "patience"),
         **_taken(content, "preset", "seed", "configurations_every"),
     }
+
+
+def _with_network(agent: Any) -> Any:
+    """PPO's settings; once its critic always read what the actor reads, in products of float32."""
+    network = agent.get("network", {}) if isinstance(agent, Mapping) else None
+    if not isinstance(network, Mapping) or agent.get(settings_tree.KIND) != settings_tree.address(PPO):
+        return agent
+    return {**agent, "network": {"critic": "observation", "precision": "float32", **network}}
 
 
 def _has_unused_table(run: Any) -> bool:
@@ -98,10 +109,10 @@ def study_settings(content: Any) -> Any:
     if not isinstance(content, Mapping):
         return content
     if "samplers" not in content:
-        if not _has_unused_table(content.get("run")):
-            return content
-        grid = [pair for pair in content["grid"] if pair != ["task.table", ["1"]]]
-        return {**content, "grid": grid, "run": run_settings(content["run"])}
+        grid = content.get("grid")
+        if _has_unused_table(content.get("run")):
+            grid = [pair for pair in content["grid"] if pair != ["task.table", ["1"]]]
+        return {**content, "grid": grid, "run": run_settings(content.get("run"))}
     grid = [
         ["task.table", content.get("coordinates", ["1"])],
         ["sampler", content["samplers"]],

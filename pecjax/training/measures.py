@@ -6,7 +6,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy import stats
 
 from pecjax.envs.task import EvalSet
 from pecjax.training.evaluation import EvalResult, success_by_config
@@ -84,6 +83,8 @@ def only(result: EvalResult, chosen: np.ndarray) -> EvalResult:
 
 def wilson(successes: int, episodes: int) -> tuple[float, float]:
     """The 95 % interval of a ratio of independent successes (Wilson 1927)."""
+    from scipy import stats  # takes a second to import
+
     interval = stats.binomtest(successes, episodes).proportion_ci(CONFIDENCE, "wilson")
     return float(interval.low), float(interval.high)
 

@@ -18,7 +18,7 @@ from pecjax.agents.episodes import Episodes
 from pecjax.agents.metrics import Metrics, are_finite, summarize
 from pecjax.agents.observations import pack, unpack
 from pecjax.agents.returns import n_step_return, with_bootstrap
-from pecjax.agents.rollout import Policy, RolloutState, Trajectory, init_rollout, rollout
+from pecjax.agents.rollout import Policy, RolloutState, Seen, Trajectory, init_rollout, rollout
 from pecjax.agents.sharding import global_ids
 from pecjax.curriculum.base import Sampler, count_outcomes
 from pecjax.curriculum.diagnostics import diagnose
@@ -121,8 +121,8 @@ def make(task: Task, sampler: Sampler, settings: Apex, axis_name: str | None = N
                 q = action_values(network, learner.params, seen)
                 return q, double_value(q, action_values(network, learner.target, seen))
 
-            def act(obs: Any, uniform: jax.Array) -> tuple[jax.Array, tuple]:
-                packed = pack(space, obs)
+            def act(seen: Seen, uniform: jax.Array) -> tuple[jax.Array, tuple]:
+                packed = pack(space, seen.obs)
                 q, ahead = values(packed)
                 action = explore(q, exploration(settings, env_ids), uniform)
                 taken = jnp.take_along_axis(q, action[..., None], axis=-1)[..., 0]
@@ -133,7 +133,7 @@ def make(task: Task, sampler: Sampler, settings: Apex, axis_name: str | None = N
                 world,
                 sampler,
                 state.sampler,
-                Policy(jax.random.uniform, act, lambda obs: values(pack(space, obs))[1]),
+                Policy(jax.random.uniform, act, lambda seen: values(pack(space, seen.obs))[1]),
                 actors.envs,
                 key,
                 env_ids,

@@ -12,12 +12,12 @@ from pecjax.agents.base import Agent, TrainState
 from pecjax.agents.distributions import make_distribution
 from pecjax.agents.episodes import sum_over_episodes
 from pecjax.agents.metrics import Metrics, are_finite, summarize
-from pecjax.agents.networks import ActorCritic, forward
-from pecjax.agents.observations import encode, image_shapes
+from pecjax.agents.networks import ActorCritic, decide, forward
+from pecjax.agents.observations import encode, flatten, image_shapes, in_order
 from pecjax.agents.ppo.settings import PPO
 from pecjax.agents.ppo.signals import step_signal
 from pecjax.agents.ppo.update import Learner, make_optimizer, prepare, update
-from pecjax.agents.rollout import Policy, init_rollout, rollout
+from pecjax.agents.rollout import Policy, Seen, init_rollout, rollout, see
 from pecjax.agents.sharding import global_ids
 from pecjax.curriculum.base import Sampler, count_outcomes
 from pecjax.curriculum.diagnostics import diagnose
@@ -34,7 +34,17 @@ def make_network(task: Task, settings: PPO) -> ActorCritic:
     shapes = image_shapes(task.observation_space)
     if settings.network.encoder == "cnn" and not shapes:
         raise InputError("the encoder cnn needs an image among the observations; choose mlp")
-    return ActorCritic(settings.network, make_distribution(task.action_space).num_params, shapes)
+    is_privileged = settings.network.critic == "privileged" and task.privileged_space is not None
+    return ActorCritic(
+        settings.network, make_distribution(task.action_space).num_params, shapes, is_privileged
+    )
+
+
+def critic_features(task: Task, seen: Seen) -> jax.Array:
+    """What a privileged critic reads, (…, K): what it is told, and of the observation what is no image."""
+    space, obs = task.observation_space, jax.tree.leaves(seen.obs)
+    others = [flatten(box, obs[place]) for box, place in in_order(space) if not box.is_image]
+    return jnp.concatenate([encode(task.privileged_space, seen.privileged), *others], axis=-1)
 
 
 def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = None) -> Agent:
@@ -45,11 +55,16 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
     network = make_network(task, settings)
     optimizer = make_optimizer(settings)
 
+    def features_of(seen: Seen) -> tuple[jax.Array, jax.Array | None]:
+        """The actor's, and the critic's where it has its own."""
+        return encode(space, seen.obs), critic_features(task, seen) if network.is_privileged else None
+
     def init(key: jax.Array, world: World, numbers: Mapping[str, jax.Array] | None = None) -> TrainState:
         key, key_params, key_envs = jax.random.split(key, 3)
         sampler_state = sampler.init(**(numbers or {}))
         envs = init_rollout(task, world, sampler, sampler_state, key_envs, settings.num_envs)
-        params = network.init(key_params, encode(space, envs.obs)[:1])
+        features, known = features_of(see(task, world, envs.state, envs.obs))
+        params = network.init(key_params, features[:1], None if known is None else known[:1])
         kl_coeff = jnp.asarray(settings.kl_coeff or 0.0, jnp.float32)
         learner = Learner(params, optimizer.init(params), kl_coeff)
         counts = jnp.zeros((2, num_configs(world.table)), jnp.int32)
@@ -59,14 +74,16 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
         learner = state.learner
         key, key_rollout, key_update = jax.random.split(state.key, 3)
 
-        def act(obs: Any, noise: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
-            features = encode(space, obs)
-            params, value = forward(network, learner.params, features)
+        def act(seen: Seen, noise: jax.Array) -> tuple[jax.Array, tuple[jax.Array | None, ...]]:
+            features, known = features_of(seen)
+            params, value = forward(network, learner.params, features, known)
             drawn = distribution.draw(params, noise)
-            return distribution.action(drawn), (features, drawn, params, value)
+            if settings.network.precision == "bfloat16":
+                features = features.astype(jnp.bfloat16)  # as the products take them
+            return distribution.action(drawn), (features, known, drawn, params, value)
 
-        def value(obs: Any) -> jax.Array:
-            return forward(network, learner.params, encode(space, obs))[1]
+        def value(seen: Seen) -> jax.Array:
+            return forward(network, learner.params, *features_of(seen))[1]
 
         envs, trajectory, episodes = rollout(
             task,
@@ -79,7 +96,7 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
             global_ids(state.envs.running.length.shape[0], axis_name),
             settings.num_steps,
         )
-        last_value = value(envs.obs)
+        last_value = value(see(task, world, envs.state, envs.obs))
         batch = prepare(settings, trajectory, last_value, axis_name)
         learner, losses = update(
             network, distribution, optimizer, settings, learner, batch, key_update, axis_name
@@ -97,7 +114,7 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
 
     def policy(learner: Learner, greedy: bool = False):
         def act(obs: Any, key: jax.Array) -> jax.Array:
-            params, _ = forward(network, learner.params, encode(space, obs))
+            params = decide(network, learner.params, encode(space, obs))
             if greedy:
                 return distribution.action(distribution.mode(params))
             return distribution.action(distribution.draw(params, distribution.noise(key)))

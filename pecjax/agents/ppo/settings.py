@@ -22,10 +22,10 @@ class PPO(AgentSettings):
 
     Attributes:
         num_epochs, num_minibatches: passes over the batch, and minibatches of each pass.
-        shuffle: what a minibatch is drawn from: `steps` takes whole time steps of all
-            environments, drawn anew each epoch, and copies nothing between devices; `samples`
-            shuffles all samples once, drops the remainder and then only changes the minibatches'
-            order (RLlib 0.8.5, `optimizers/multi_gpu_optimizer.py`).
+        shuffle: what a minibatch is drawn from, once an iteration: `steps` takes whole time steps of all
+            environments and copies nothing between devices; `samples` shuffles all samples and drops the
+            remainder. Epochs then only change the minibatches' order (RLlib 0.8.5,
+            `optimizers/multi_gpu_optimizer.py`).
         learning_rate, adam_eps, max_grad_norm: of Adam, with an optional bound on the gradient.
         discount, gae_lambda: γ and λ.
         clip_epsilon: ε of the clipped surrogate.

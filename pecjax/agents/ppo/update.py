@@ -30,13 +30,14 @@ class Batch(NamedTuple):
     """What the loss is taken over, every leaf with the same leading axes.
 
     Attributes:
-        features: of the observation.
+        features, known: of the observation, and the critic's own where it has any, else None.
         drawn, params: what was drawn, and the parameters of the distribution that it was drawn from.
         value, target: as it was predicted, and as it should have been.
         advantage: of the action.
     """
 
     features: jax.Array
+    known: jax.Array | None
     drawn: jax.Array
     params: jax.Array
     value: jax.Array
@@ -54,7 +55,7 @@ def make_optimizer(settings: PPO) -> optax.GradientTransformation:
 
 def prepare(settings: PPO, trajectory: Trajectory, last_value: jax.Array, axis_name: str | None) -> Batch:
     """Advantages, standardised over the whole batch, and value targets; leaves (T, B, …)."""
-    features, drawn, params, value = trajectory.extras
+    features, known, drawn, params, value = trajectory.extras
     advantage = generalized_advantage(
         scaled_reward(settings, trajectory),
         value,
@@ -67,7 +68,7 @@ def prepare(settings: PPO, trajectory: Trajectory, last_value: jax.Array, axis_n
     mean = device_mean(advantage.mean(), axis_name)
     deviation = jnp.sqrt(device_mean(jnp.square(advantage - mean).mean(), axis_name))
     advantage = (advantage - mean) / jnp.maximum(1e-4, deviation)
-    return Batch(features, drawn, params, value, advantage, target)
+    return Batch(features, known, drawn, params, value, advantage, target)
 
 
 def scaled_reward(settings: PPO, trajectory: Trajectory) -> jax.Array:
@@ -93,7 +94,7 @@ def loss(
 
     with no ½ before E_V.
     """
-    new, value = forward(network, params, batch.features)
+    new, value = forward(network, params, batch.features, batch.known)
     log_prob = distribution.log_prob
     ratio = jnp.exp(log_prob(new, batch.drawn) - log_prob(batch.params, batch.drawn))
     clipped = jnp.clip(ratio, 1 - settings.clip_epsilon, 1 + settings.clip_epsilon)
@@ -127,14 +128,15 @@ def update(
         if axis_name is not None:
             batch = jax.lax.all_gather(batch, axis_name, axis=1, tiled=True)
         batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), batch)
-    num_rows = batch.value.shape[0]
-    rows = minibatch_rows(settings, key, num_rows)
+    rows, order = shuffle(settings, key, batch.value.shape[0])
+    if settings.shuffle == "samples" and axis_name is not None:
+        rows = _own_share(rows, axis_name)
+    # Gathered once and not once an epoch: minibatches are the same in all of them.
+    minibatches = jax.tree.map(lambda leaf: _in_rows(settings, leaf[rows]), batch)
 
-    def step(carry: tuple[Any, Any], chosen: jax.Array) -> tuple[tuple[Any, Any], dict[str, jax.Array]]:
+    def step(carry: tuple[Any, Any], number: jax.Array) -> tuple[tuple[Any, Any], dict[str, jax.Array]]:
         params, optimizer_state = carry
-        if settings.shuffle == "samples" and axis_name is not None:
-            chosen = _own_share(chosen, axis_name)
-        minibatch = jax.tree.map(lambda leaf: leaf[chosen], batch)
+        minibatch = jax.tree.map(lambda leaf: leaf[number], minibatches)
         gradient, terms = jax.grad(
             lambda p: loss(network, distribution, settings, p, minibatch, learner.kl_coeff), has_aux=True
         )(params)
@@ -142,25 +144,29 @@ def update(
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, params)
         return (optax.apply_updates(params, updates), optimizer_state), terms
 
-    (params, optimizer_state), terms = jax.lax.scan(step, (learner.params, learner.optimizer), rows)
+    (params, optimizer_state), terms = jax.lax.scan(step, (learner.params, learner.optimizer), order)
     terms = {name: term[-settings.num_minibatches :].mean() for name, term in terms.items()}
     terms["kl_coeff"] = learner.kl_coeff
     kl_coeff = adapt_kl_coeff(learner.kl_coeff, terms["kl"], settings.kl_target)
     return Learner(params, optimizer_state, kl_coeff), terms
 
 
-def minibatch_rows(settings: PPO, key: jax.Array, num_rows: int) -> jax.Array:
-    """Row numbers (epochs × minibatches, rows of a minibatch), the same on every device."""
-    size = num_rows // settings.num_minibatches
-    shape = (settings.num_minibatches, size)
+def shuffle(settings: PPO, key: jax.Array, num_rows: int) -> tuple[jax.Array, jax.Array]:
+    """Row numbers (minibatches, rows of each), and the minibatches' numbers in the order of all epochs.
+
+    They are the same on every device.
+    """
+    number = settings.num_minibatches
+    size = num_rows // number
     once, *keys = jax.random.split(key, settings.num_epochs + 1)
-    keys = jnp.stack(keys)
-    if settings.shuffle == "samples":
-        parts = jax.random.permutation(once, num_rows)[: shape[0] * size].reshape(shape)
-        epochs = jax.vmap(lambda k: jax.random.permutation(k, parts))(keys)
-    else:
-        epochs = jax.vmap(lambda k: jax.random.permutation(k, num_rows).reshape(shape))(keys)
-    return epochs.reshape(-1, size)
+    rows = jax.random.permutation(once, num_rows)[: number * size].reshape(number, size)
+    order = jax.vmap(lambda k: jax.random.permutation(k, number))(jnp.stack(keys))
+    return rows, order.reshape(-1)
+
+
+def _in_rows(settings: PPO, leaf: jax.Array) -> jax.Array:
+    """Minibatches (M, rows, …) of samples, of (M, steps, B, …) where whole time steps are drawn."""
+    return leaf if settings.shuffle == "samples" else leaf.reshape(leaf.shape[0], -1, *leaf.shape[3:])
 
 
 def adapt_kl_coeff(kl_coeff: jax.Array, kl: jax.Array, target: float) -> jax.Array:
@@ -170,8 +176,8 @@ def adapt_kl_coeff(kl_coeff: jax.Array, kl: jax.Array, target: float) -> jax.Arr
 
 
 def _own_share(rows: jax.Array, axis_name: str) -> jax.Array:
-    """This device's part of some rows; all of them where they cannot be shared evenly."""
+    """This device's part of the rows of each minibatch; all of them where they cannot be shared evenly."""
     num_devices = jax.lax.axis_size(axis_name)
-    if rows.size % num_devices:
+    if rows.shape[1] % num_devices:
         return rows
-    return rows.reshape(num_devices, -1)[jax.lax.axis_index(axis_name)]
+    return rows.reshape(rows.shape[0], num_devices, -1)[:, jax.lax.axis_index(axis_name)]

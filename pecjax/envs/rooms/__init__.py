@@ -1,6 +1,5 @@
 """The rooms: maps, drone, flight, depth camera and the task of flying to a goal."""
 
-from pecjax.envs.rooms.brax_env import RoomsNavigation as RoomsNavigation
 from pecjax.envs.rooms.config import (
     COORDINATE_SET_1 as COORDINATE_SET_1,
     COORDINATE_SET_2 as COORDINATE_SET_2,

@@ -8,13 +8,14 @@ the goal can be reached straight ahead its length is exact. A cell is free where
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from pecjax.envs.rooms.clearance_grid import ClearanceGrid, clearance_along, make_grid
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array  # which takes long to import, and most trainings need no paths
 
 CELL = 0.1  # m, of the grid by default
 _AT_ONCE = 16  # flights for which the distances of all cells are held
@@ -73,6 +74,8 @@ def free_clearance(radius: float, cell: float) -> float:
 
 def find_paths(grid: ClearanceGrid, radius: float) -> Paths:
     """The graph of the moves that a sphere of this radius (m) can make; the grid must reach beyond it."""
+    from scipy.sparse import csr_array
+
     free = np.pad(grid.clearance > free_clearance(radius, grid.cell), 2)  # no move leaves the padded grid
     flat, row = free.ravel(), free.shape[1]
     steps, passed = _MOVES @ [row, 1], _PASSED @ [row, 1]
@@ -102,6 +105,9 @@ def search(paths: Paths, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         (N, K) m, infinite where no path leads, and (N, K) the node that each is reached from, -1
         where it is the start.
     """
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import dijkstra
+
     nodes, lengths = _links(paths, starts)
     known = np.isfinite(lengths)
     size, extra = len(paths.places), len(starts)

@@ -11,7 +11,6 @@ from xml.parsers import expat
 import mujoco
 import numpy as np
 
-from pecjax.envs.rooms.approximation import approximate_shapes
 from pecjax.envs.rooms.default_drone import add_default_drone
 from pecjax.envs.rooms.mjcf_amounts import Amounts
 from pecjax.envs.rooms.mjcf_assets import leave_out_assets
@@ -85,6 +84,8 @@ def read_map_file(path: Path, approximate: float | None = None) -> MapFile:
         model = spec.compile()
         _check_numbers(path, model)  # what is not finite would be left out of the text
         if approximate is not None:
+            from pecjax.envs.rooms.approximation import approximate_shapes  # SciPy takes long to import
+
             notices += approximate_shapes(spec, model, approximate, place)
             leave_out_assets(spec, place)
             spec.compile()

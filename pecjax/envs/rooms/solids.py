@@ -6,7 +6,6 @@ import functools
 
 import mujoco
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from pecjax.errors import InputError
 
@@ -90,6 +89,8 @@ def _ball(slack: float) -> tuple[np.ndarray, float]:
 @functools.cache
 def _scale(number: int) -> float:
     """What points of the unit sphere are multiplied by for their hull to hold the ball."""
+    from scipy.spatial import ConvexHull  # takes long to import
+
     return float(-1 / ConvexHull(_spiral(number)).equations[:, 3].max())
 
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from pecjax.envs.rooms import privileged
 from pecjax.envs.rooms.air import first_gust, next_gust
 from pecjax.envs.rooms.camera_errors import with_errors
 from pecjax.envs.rooms.config import MAX_LATENCY, OBJECTIVES, REACH, Configurations
@@ -99,6 +100,7 @@ class RoomsTask(Task):
             "depth": Box((camera.height, camera.width), camera.near / camera.far, 1.0),
             "goal": Box((3,)),
         } | ({"objective": Box((len(OBJECTIVES),), 0.0, 1.0)} if objectives else {})
+        self.privileged_space = privileged.SPACE
         self.action_space = Discrete(len(SPEEDS) * len(YAW_RATES))
         self.max_steps = settings.max_steps
 
@@ -195,6 +197,12 @@ class RoomsTask(Task):
         seen = sense(self.vehicle.camera, walls, state.qpos[:3], state.qpos[3:], where)
         seen |= {"depth": with_errors(self.vehicle.camera, state.config, key, seen["depth"])}
         return seen if state.progress is None else seen | {"objective": one_hot(state.config)}
+
+    def privileged(self, state: RoomsState, params: RoomsParams) -> jax.Array:
+        """See `privileged.drone_numbers`."""
+        settings = self.settings
+        late, idle = state.step_count / settings.max_steps, state.hover_count / max(settings.hover_limit, 1)
+        return privileged.drone_numbers(state.qpos, state.qvel, settings.flight_height, late, idle)
 
     def fitted(self, table: Configurations) -> Configurations:
         """The table, with objectives if they are seen.
