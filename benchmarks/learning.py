@@ -75,7 +75,7 @@ def learner(task: Task, mesh: Mesh, settings: PPO) -> tuple[Workload, Workload]:
         return jax.lax.scan(step, None, (seen, noise))[1]
 
     def learn(state, trajectory, key):
-        batch = prepare(settings, trajectory, trajectory.reward[0], AXIS)
+        batch = prepare(settings, distribution, trajectory, trajectory.reward[0], AXIS)
         return update(network, distribution, optimizer, settings, state, batch, key, AXIS)
 
     over_envs = PartitionSpec(None, AXIS)

@@ -200,9 +200,10 @@ def test_a_privileged_critic_reads_what_it_knows_and_the_actor_does_not(settings
     assert "critic_convolutions" not in params["params"]  # it sees no image
 
 
+@pytest.mark.parametrize("has_columns", [False, True])
 @pytest.mark.parametrize("batch", [(), (5,), (2, 3)])
-def test_products_of_16_bits_are_those_of_rounded_numbers(batch):
-    """And so are their gradients; sums are of 32 bits."""
+def test_products_of_16_bits_are_those_of_rounded_numbers(batch, has_columns):
+    """And so are their gradients, of kernels where the rows are at hand in columns; sums are of 32 bits."""
     draw = np.random.default_rng(3)
     x, kernel, pull = (draw.normal(size=shape) for shape in ((*batch, 40), (40, 6), (*batch, 6)))
 
@@ -210,15 +211,16 @@ def test_products_of_16_bits_are_those_of_rounded_numbers(batch):
         return np.float64(jnp.asarray(array, jnp.bfloat16))
 
     def product(x, kernel):
-        return bfloat16_product(x, kernel, (((x.ndim - 1,), (0,)), ((), ())))
+        columns = x.reshape(-1, 40).T if has_columns else None
+        return bfloat16_product(columns)(x, kernel, (((x.ndim - 1,), (0,)), ((), ())))
 
     found, pull_back = jax.vjp(product, jnp.float32(x), jnp.float32(kernel))
     of_x, of_kernel = pull_back(jnp.float32(pull))
     close = {"rtol": 1e-5, "atol": 1e-5}
     np.testing.assert_allclose(found, rounded(x) @ rounded(kernel), **close)
     np.testing.assert_allclose(of_x, rounded(pull) @ rounded(kernel).T, **close)
-    columns = rounded(x).reshape(-1, 40).T
-    np.testing.assert_allclose(of_kernel, columns @ rounded(pull).reshape(-1, 6), **close)
+    columns, ends = (rounded(x), rounded(pull)) if has_columns else (x, pull)
+    np.testing.assert_allclose(of_kernel, columns.reshape(-1, 40).T @ ends.reshape(-1, 6), **close)
     assert found.dtype == of_x.dtype == of_kernel.dtype == jnp.float32
     assert np.abs(np.asarray(found) - x @ kernel).max() > 1e-3  # and it matters
 

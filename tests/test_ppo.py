@@ -33,9 +33,15 @@ from pecjax.training.presets import PRESETS
 
 RLLIB = PRESETS["rllib085"].agent
 ROWS, ACTIONS = 64, 15
+OF_ACTIONS = categorical(ACTIONS)
 
 # Stands in for a network: its parameters are the logits and values themselves.
-IDENTITY = SimpleNamespace(apply=lambda params, features, known: params)
+IDENTITY = SimpleNamespace(apply=lambda params, features, known, columns: params)
+
+
+def of_drawn(logits, drawn):
+    """Log-probabilities (N,) of what was drawn (N,) by logits (N, A)."""
+    return np.float32(log_softmax(np.float64(logits), axis=-1)[np.arange(len(drawn)), drawn])
 
 
 def random_batch(seed: int):
@@ -46,12 +52,15 @@ def random_batch(seed: int):
         return draw.normal(0, scale, shape).astype(np.float32)
 
     old = normal(1, ROWS, ACTIONS)
+    drawn = draw.integers(0, ACTIONS, ROWS).astype(np.int32)
     value = normal(300, ROWS)
     batch = Batch(
         features=None,
         known=None,
-        drawn=draw.integers(0, ACTIONS, ROWS).astype(np.int32),
+        columns=None,
+        drawn=drawn,
         params=old,
+        log_prob=of_drawn(old, drawn),
         value=value,
         advantage=normal(1, ROWS),
         target=value + normal(30, ROWS),
@@ -158,7 +167,8 @@ def test_terms_of_continuous_actions_equal_scipys():
     of, (old, new) = tanh_normal(box), draw.normal(0, 0.5, (2, ROWS, 4)).astype(np.float32)
     noise = draw.normal(size=(ROWS, 2)).astype(np.float32)
     advantage, value = draw.normal(size=(2, ROWS)).astype(np.float32)
-    batch = Batch(None, None, of.draw(old, noise), old, value, advantage, value)
+    drawn = of.draw(old, noise)
+    batch = Batch(None, None, None, drawn, old, of.log_prob(old, drawn), value, advantage, value)
     settings = replace(RLLIB, entropy_coeff=0.2)
     total, terms = ppo_update.loss(IDENTITY, of, settings, (new, value), batch, jnp.float32(1.7))
 
@@ -193,10 +203,10 @@ def random_trajectory(scale: float = 500.0):
 
 def prepared(settings, trajectory, last_value, devices: int):
     if devices == 1:
-        return ppo_update.prepare(settings, trajectory, last_value, None)
+        return ppo_update.prepare(settings, OF_ACTIONS, trajectory, last_value, None)
     over_envs = PartitionSpec(None, AXIS)
     return jax.shard_map(
-        lambda t, v: ppo_update.prepare(settings, t, v, AXIS),
+        lambda t, v: ppo_update.prepare(settings, OF_ACTIONS, t, v, AXIS),
         mesh=device_mesh(devices),
         in_specs=(over_envs, PartitionSpec(AXIS)),
         out_specs=over_envs,
@@ -499,7 +509,9 @@ def test_two_devices_take_the_same_minibatches_as_one(shuffle, num_minibatches):
 
     features = normal(3 * 4 + 3)
     action = jnp.asarray(draw.integers(0, ACTIONS, (16, 8)), jnp.int32)
-    batch = Batch(features, None, action, normal(ACTIONS), normal(), normal(), normal())
+    logits = normal(ACTIONS)
+    log_prob = OF_ACTIONS.log_prob(logits, action)
+    batch = Batch(features, None, None, action, logits, log_prob, normal(), normal(), normal())
     network = ActorCritic(settings.network, ACTIONS, ((3, 4),))
     optimizer = optax.adam(settings.learning_rate)
     params = jax.jit(network.init)(jax.random.key(0), features)

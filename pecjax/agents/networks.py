@@ -67,33 +67,41 @@ class ActorCritic(nn.Module):
 
     @nn.compact
     def __call__(
-        self, features: jax.Array, known: jax.Array | None = None, with_value: bool = True
+        self,
+        features: jax.Array,
+        known: jax.Array | None = None,
+        columns: jax.Array | None = None,
+        with_value: bool = True,
     ) -> tuple[jax.Array, jax.Array | None]:
         """See `forward`, which is this with the parameters given.
 
         Args:
-            known: (…, K), the critic's features, where it has its own.
             with_value: whether the critic is asked, too.
         """
         settings = self.settings
         if settings.encoder == "mlp" and not self.is_privileged:
             # Both first layers in one matrix product: they read the same features, most of the work.
-            both = _dense(settings, 2 * settings.hidden[0], "first", _two_halves(_kernel_init(settings)))
+            both = _dense(
+                settings, 2 * settings.hidden[0], "first", _two_halves(_kernel_init(settings)), columns
+            )
             actor, critic = jnp.split(both(features), 2, axis=-1)
         else:
-            actor, critic = self._first("actor", features), None
-            if with_value:
-                critic = self._first("critic", known if self.is_privileged else features)
+            actor, critic = self._first("actor", features, columns), None
+            if with_value and self.is_privileged:
+                critic = self._first("critic", known)
+            elif with_value:
+                critic = self._first("critic", features, columns)
         params = self._others("actor", actor, self.num_outputs, 0.01)
         if critic is None or not with_value:
             return params, None
         gain = 0.01 if settings.initializer == "normc" else 1.0
         return params, self._others("critic", critic, 1, gain)[..., 0]
 
-    def _first(self, name: str, x: jax.Array) -> jax.Array:
+    def _first(self, name: str, x: jax.Array, columns: jax.Array | None = None) -> jax.Array:
         if self.settings.encoder == "cnn" and not (name == "critic" and self.is_privileged):
+            columns = None
             x = _Convolutions(self.settings, self.image_shapes, name=f"{name}_convolutions")(x)
-        return _dense(self.settings, self.settings.hidden[0], f"{name}_0")(x)
+        return _dense(self.settings, self.settings.hidden[0], f"{name}_0", columns=columns)(x)
 
     def _others(self, name: str, x: jax.Array, width: int, gain: float) -> jax.Array:
         for layer, hidden in enumerate(self.settings.hidden[1:], 1):
@@ -115,13 +123,19 @@ def _two_halves(init: Initializer) -> Initializer:
     return halves
 
 
-def _dense(settings: NetworkSettings, width: int, name: str, init: Initializer | None = None) -> nn.Dense:
+def _dense(
+    settings: NetworkSettings,
+    width: int,
+    name: str,
+    init: Initializer | None = None,
+    columns: jax.Array | None = None,
+) -> nn.Dense:
     init = init or _kernel_init(settings)
-    return nn.Dense(width, kernel_init=init, name=name, dot_general=_product(settings))
+    return nn.Dense(width, kernel_init=init, name=name, dot_general=_product(settings, columns))
 
 
-def _product(settings: NetworkSettings) -> Callable[..., jax.Array] | None:
-    return bfloat16_product if settings.precision == "bfloat16" else None
+def _product(settings: NetworkSettings, columns: jax.Array | None = None) -> Callable[..., jax.Array] | None:
+    return bfloat16_product(columns) if settings.precision == "bfloat16" else None
 
 
 class _Convolutions(nn.Module):
@@ -157,10 +171,19 @@ def patches(image: jax.Array, size: int) -> jax.Array:
 
 
 def forward(
-    network: ActorCritic, params: Any, features: jax.Array, known: jax.Array | None = None
+    network: ActorCritic,
+    params: Any,
+    features: jax.Array,
+    known: jax.Array | None = None,
+    columns: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """Parameters of the distribution (…, P) and values (…,) under the given parameters."""
-    return cast(tuple[jax.Array, jax.Array], network.apply(params, features, known))
+    """Parameters of the distribution (…, P) and values (…,) under the given parameters.
+
+    Args:
+        known: (…, K), the critic's features, where it has its own.
+        columns: the features (N, F) transposed in memory, (F, N), see `bfloat16_product`.
+    """
+    return cast(tuple[jax.Array, jax.Array], network.apply(params, features, known, columns))
 
 
 def decide(network: ActorCritic, params: Any, features: jax.Array) -> jax.Array:

@@ -97,7 +97,7 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
             settings.num_steps,
         )
         last_value = value(see(task, world, envs.state, envs.obs))
-        batch = prepare(settings, trajectory, last_value, axis_name)
+        batch = prepare(settings, distribution, trajectory, last_value, axis_name)
         learner, losses = update(
             network, distribution, optimizer, settings, learner, batch, key_update, axis_name
         )

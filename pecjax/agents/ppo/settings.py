@@ -43,7 +43,7 @@ class PPO(AgentSettings):
     num_epochs: int = 4
     num_minibatches: int = 8
     shuffle: Literal["steps", "samples"] = "steps"
-    learning_rate: float = 3e-4
+    learning_rate: float = 1e-3
     adam_eps: float = 1e-5
     max_grad_norm: float | None = 0.5
     discount: float = 0.99
