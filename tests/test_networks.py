@@ -196,7 +196,7 @@ def test_a_privileged_critic_reads_what_it_knows_and_the_actor_does_not(settings
     np.testing.assert_array_equal(same_value, value)
     np.testing.assert_array_equal(same_logits, logits)
     assert np.abs(of_others - logits).min(axis=0).max() > 0 and np.abs(other_value - value).min() > 0
-    np.testing.assert_array_equal(decide(network, params, rows), logits)
+    np.testing.assert_allclose(decide(network, params, rows), logits, atol=1e-3)  # in float32
     assert "critic_convolutions" not in params["params"]  # it sees no image
 
 

@@ -332,7 +332,7 @@ def test_the_preset_rllib085_holds_every_value_of_rllib_and_of_the_paper():
     assert found.discount == 0.99 and found.gae_lambda == 0.95 and found.clip_epsilon == 0.2
     assert found.max_grad_norm is None and found.reward_scale == 1.0
     assert found.network == NetworkSettings(
-        "observation", "float32", encoder="mlp", hidden=(256, 256), initializer="normc"
+        encoder="mlp", hidden=(256, 256), initializer="normc", critic="observation", precision="float32"
     )
     assert preset.stop.iterations == 1500 and preset.sampler == PEC(alpha=0.2)
     assert preset.evaluation.every == 100 and preset.evaluation.episodes == 50

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, cast
 
 import flax.linen as nn
@@ -19,22 +19,23 @@ class NetworkSettings:
     """Settings of the actor and the critic, which share no layer.
 
     Attributes:
-        critic: what the critic reads: `observation` is what the actor reads; `privileged` is what the task
-            tells a critic of its state, with what of the observation is no image. It is the same as
-            `observation` where the task tells nothing.
-        precision: of the operands of matrix products, whose sums are float32 in any case.
         encoder: `mlp` flattens the image; `cnn` passes it through three convolutions that shrink
             it 16 times each way, for images of about 32 pixels and more.
         hidden: widths of the tanh layers.
         initializer: of the weights: `orthogonal` (gain √2 hidden, 0.01 actor, 1 critic) or
             `normc` (unit-norm columns, 0.01 at both outputs, as in RLlib 0.8.5).
+        critic: what the critic reads: `observation` is what the actor reads; `privileged` is what the task
+            tells a critic of its state, with what of the observation is no image. It is the same as
+            `observation` where the task tells nothing.
+        precision: of the operands of matrix products in training, whose sums are float32 in any case. What
+            is evaluated, watched and exported computes in float32.
     """
 
-    critic: Literal["privileged", "observation"] = "privileged"
-    precision: Literal["bfloat16", "float32"] = "bfloat16"
     encoder: Literal["mlp", "cnn"] = "mlp"
     hidden: tuple[int, ...] = (64, 64)
     initializer: Literal["orthogonal", "normc"] = "orthogonal"
+    critic: Literal["privileged", "observation"] = "privileged"
+    precision: Literal["bfloat16", "float32"] = "bfloat16"
 
 
 Initializer = Callable[..., jax.Array]
@@ -187,5 +188,6 @@ def forward(
 
 
 def decide(network: ActorCritic, params: Any, features: jax.Array) -> jax.Array:
-    """Parameters of the distribution (…, P) alone."""
-    return cast(tuple[jax.Array, None], network.apply(params, features, with_value=False))[0]
+    """Parameters of the distribution (…, P) alone, for flights beside training: in float32 in any case."""
+    exact = network.clone(settings=replace(network.settings, precision="float32"))
+    return cast(tuple[jax.Array, None], exact.apply(params, features, with_value=False))[0]

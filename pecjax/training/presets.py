@@ -33,7 +33,9 @@ _RLLIB_085 = PPO(
     kl_coeff=1.0,
     kl_target=0.01,
     reward_scale=1.0,
-    network=NetworkSettings("observation", "float32", hidden=(256, 256), initializer="normc"),
+    network=NetworkSettings(
+        hidden=(256, 256), initializer="normc", critic="observation", precision="float32"
+    ),
 )
 
 # The same for Ape-X; what RLlib leaves to asynchrony is chosen here: environments side by side,
