@@ -41,6 +41,17 @@ def keep_compiled_programs() -> str:
     return folder
 
 
+def compiler_options(*, runs_once: bool = False) -> dict[str, int]:
+    """XLA's options for a program: on a CPU, less work by LLVM, which makes our programs no slower.
+
+    Args:
+        runs_once: then it matters least how fast it runs.
+    """
+    if jax.default_backend() != "cpu":
+        return {}
+    return {"xla_backend_optimization_level": 0 if runs_once else 1}
+
+
 def choose_num_devices(wanted: int | None, device_divisor: int) -> int:
     """How many devices share the work: as wanted, or as many as divide it.
 

@@ -14,6 +14,7 @@ from pecjax.agents import AXIS, Agent
 from pecjax.agents.episodes import reset_where, start_episodes, step_episodes
 from pecjax.agents.sharding import env_keys
 from pecjax.envs.task import Task, World, num_configs, take_configs
+from pecjax.runtime.devices import compiler_options
 
 
 class EvalResult(NamedTuple):
@@ -100,6 +101,7 @@ def make_evaluator(
             check_vma=False,
         ),
         out_shardings=NamedSharding(mesh, PartitionSpec()),  # each process has all of them
+        compiler_options=compiler_options(),
     )
 
     def compile_for(learner: Any, world: World) -> Callable[[Any, World], EvalResult]:

@@ -14,7 +14,7 @@ from jax.sharding import PartitionSpec
 
 from pecjax.agents import AXIS, Metrics, TrainState, device_mesh
 from pecjax.envs.task import EvalSet, Task, World, num_configs
-from pecjax.runtime.devices import check_memory, choose_num_devices
+from pecjax.runtime.devices import check_memory, choose_num_devices, compiler_options
 from pecjax.training.build import Run, abstract_state, everywhere, for_evaluation, observation_bytes
 from pecjax.training.contracts import check_contracts
 from pecjax.training.evaluation import EvalResult, make_episode_runner, make_evaluator, stratified_config_ids
@@ -88,18 +88,25 @@ def _leading(tree: Any) -> Any:
 
 def start(run: Run, seed: int) -> tuple[TrainState, Iterate]:
     """The first state and the compiled iteration, the one prepared while the other compiles."""
-    key = jax.random.key(seed)
-    init = jax.jit(run.agent.init).lower(key, run.world)
+    lowered = _lower_iteration(run)
     with ThreadPoolExecutor(1) as aside:
-        state = aside.submit(lambda: init.compile()(key, run.world))
-        iterate = compile_iteration(run)
-        return state.result(), iterate
+        iterate = aside.submit(lambda: _compiled(lowered, run))
+        init = jax.jit(run.agent.init, compiler_options=compiler_options(runs_once=True))
+        return init(jax.random.key(seed), run.world), iterate.result()
 
 
 def compile_iteration(run: Run) -> Iterate:
     """The iteration as a compiled program; it takes the place of the state it is given."""
-    traced = jax.jit(run.agent.iterate, donate_argnums=0).trace(abstract_state(run), run.world)
-    compiled = traced.lower().compile()
+    return _compiled(_lower_iteration(run), run)
+
+
+def _lower_iteration(run: Run) -> jax.stages.Lowered:
+    program = jax.jit(run.agent.iterate, donate_argnums=0, compiler_options=compiler_options())
+    return program.lower(abstract_state(run), run.world)
+
+
+def _compiled(lowered: jax.stages.Lowered, run: Run) -> Iterate:
+    compiled = lowered.compile()
     return lambda state: compiled(state, run.world)
 
 
@@ -175,7 +182,7 @@ def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> 
                 world, *of_runs
             )
 
-        return jax.jit(sharded, **options)
+        return jax.jit(sharded, compiler_options=compiler_options(runs_once=one is init), **options)
 
     probabilities = jax.jit(jax.vmap(sampler.probabilities))
     # The numbers are in the sampler's state, so one `iterate` serves all.
