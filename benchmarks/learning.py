@@ -114,25 +114,29 @@ def curriculum(sampler: Sampler, num_configs: int, draws: int) -> tuple[Workload
 
 
 def sampling(sampler: Sampler, num_configs: int, mesh: Mesh, settings: PPO) -> Workload:
-    """A sampler's own part of an iteration: every environment's draws, and what it learns of endings."""
-    shape = (settings.num_steps, settings.num_envs)
-    key_id, key_done, key_failed = jax.random.split(jax.random.key(0), 3)
-    outcomes = Outcomes(
-        jax.random.randint(key_id, shape, 0, num_configs),
-        jax.random.bernoulli(key_done, 1 / 40, shape),  # episodes of some forty steps
-        jax.random.bernoulli(key_failed, 0.1, shape),
-    )
+    """A sampler's own part of an iteration: every environment's draws, and what it learns of endings.
 
-    def draw_and_learn(state, key, env_ids, outcomes):
-        keys = env_keys(key, env_ids)
-        ids = jax.vmap(lambda k: sampler.sample(state, k, shape[:1]), out_axes=1)(keys)
-        return sampler.update(state, outcomes, AXIS), ids
+    A hundred times in one program, since one takes less than starting a program does.
+    """
+    shape = (settings.num_steps, settings.num_envs)
+    key, key_done, key_failed = jax.random.split(jax.random.key(0), 3)
+    done = jax.random.bernoulli(key_done, 1 / 40, shape)  # episodes of some forty steps
+    failed = jax.random.bernoulli(key_failed, 0.1, shape)
+
+    def many(state, key, env_ids, done, failed):
+        def draw_and_learn(state, key):
+            keys = env_keys(key, env_ids)
+            ids = jax.vmap(lambda k: sampler.sample(state, k, shape[:1]), out_axes=1)(keys)
+            return sampler.update(state, Outcomes(ids, done, failed), AXIS), ids.sum()
+
+        return jax.lax.scan(draw_and_learn, state, jax.random.split(key, 100))
 
     over_envs = PartitionSpec(None, AXIS)
-    specs = (SAME, SAME, PartitionSpec(AXIS), over_envs)
-    program = sharded(draw_and_learn, mesh, specs, (SAME, over_envs))
-    run = waiting(program, sampler.init(), key_id, jnp.arange(shape[1]), outcomes)
-    return Workload(run, shape[0] * shape[1], "control steps/s")
+    specs = (SAME, SAME, PartitionSpec(AXIS), over_envs, over_envs)
+    program = sharded(many, mesh, specs, (SAME, SAME))
+    args = (sampler.init(), key, jnp.arange(shape[1]), done, failed)
+    placed = (jax.device_put(x, jax.NamedSharding(mesh, spec)) for x, spec in zip(args, specs, strict=True))
+    return Workload(waiting(program, *placed), 100 * shape[0] * shape[1], "control steps/s")
 
 
 REPLAY_ENVS, REPLAY_STEPS, REPLAY_DRAWS, N_STEP = 128, 2, 512, 3

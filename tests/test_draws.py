@@ -98,11 +98,14 @@ def test_every_size_is_drawn_in_proportion_and_nothing_of_no_mass(size):
         assert stats.chisquare(counts[mass > 0], 1e6 * likely[mass > 0]).pvalue > 1e-3
 
 
-def test_small_tables_are_drawn_by_jax_alone():
-    """The paper's sets, and every run so far, have the draws that they always had."""
-    mass = jnp.asarray(np.random.default_rng(0).random(24), jnp.float32)
-    wanted = jax.random.choice(jax.random.key(3), 24, (7, 5), p=mass)
-    np.testing.assert_array_equal(sample_ids(mass, jax.random.key(3), (7, 5)), wanted)
+@pytest.mark.parametrize("size", [1, 2, 24, 1000, MAX_AT_ONCE])
+def test_small_tables_are_drawn_as_jax_draws_them(size):
+    """To the bit: the paper's sets have the draws that they always had."""
+    mass = np.float32(np.random.default_rng(size).random(size))
+    mass[size // 2 : size // 2 + size // 10] = 0.0
+    mass /= mass.sum()
+    wanted = jax.random.choice(jax.random.key(3), size, (700, 5), p=mass)
+    np.testing.assert_array_equal(sample_ids(jnp.asarray(mass), jax.random.key(3), (700, 5)), wanted)
 
 
 @pytest.mark.parametrize(

@@ -11,14 +11,14 @@ import numpy as np
 
 # One draw by `jax.random.choice` tells about 2²³ places of the whole apart, the grain of a float32
 # uniform. That is plenty for so many configurations, and far too little for a million.
-MAX_AT_ONCE = 1024
+MAX_AT_ONCE = 4096
 BRANCHES = 32  # of every level below
 
 
 def sample_ids(weights: jax.Array, key: jax.Array, shape: int | Sequence[int] = ()) -> jax.Array:
     """Configuration numbers drawn independently, with replacement, in proportion to `weights`.
 
-    Up to `MAX_AT_ONCE` configurations it is `jax.random.choice`. More are put into blocks of
+    Up to `MAX_AT_ONCE` configurations it draws what `jax.random.choice` draws. More are put into blocks of
     `BRANCHES`, and these into larger ones, until there are few enough for it; it draws one of the
     largest, and a uniform number for every level below finds the place within. So each level has a
     grain of its own, and none of N configurations is out of reach. Takes O(N) once for all draws.
@@ -38,7 +38,7 @@ def sample_ids(weights: jax.Array, key: jax.Array, shape: int | Sequence[int] = 
         levels.append(jnp.pad(mass, (0, -mass.shape[0] % BRANCHES)).reshape(-1, BRANCHES))
         mass = levels[-1].sum(axis=1)
     key, key_below = jax.random.split(key) if levels else (key, key)
-    ids = jax.random.choice(key, mass.shape[0], shape, p=normalized(mass)).astype(jnp.int32)
+    ids = choose(key, normalized(mass), shape)
     if not levels:
         return ids
     # (1 - u) of [0, 1) is above 0, as `jax.random.choice` has it: what has no mass is never reached.
@@ -47,6 +47,13 @@ def sample_ids(weights: jax.Array, key: jax.Array, shape: int | Sequence[int] = 
         ids = ids * BRANCHES + _place_within(jnp.moveaxis(level[ids], -1, 0), uniform)
     uniform_ids = jax.random.randint(key, shape, 0, weights.shape[0])
     return jnp.where(mass.sum() > 0, ids, uniform_ids)
+
+
+def choose(key: jax.Array, probabilities: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+    """`jax.random.choice` of N numbers, to the bit, with a search that takes a fraction of its time."""
+    running = jnp.cumsum(probabilities)
+    reached = running[-1] * (1 - jax.random.uniform(key, shape, running.dtype))
+    return jnp.searchsorted(running, reached, method="scan_unrolled").astype(jnp.int32)
 
 
 def normalized(weight: jax.Array) -> jax.Array:
