@@ -127,6 +127,7 @@ def sampling(sampler: Sampler, num_configs: int, mesh: Mesh, settings: PPO) -> W
         def draw_and_learn(state, key):
             keys = env_keys(key, env_ids)
             ids = jax.vmap(lambda k: sampler.sample(state, k, shape[:1]), out_axes=1)(keys)
+            ids = jax.lax.optimization_barrier(ids)  # drawn once, as before a rollout, for all that use them
             return sampler.update(state, Outcomes(ids, done, failed), AXIS), ids.sum()
 
         return jax.lax.scan(draw_and_learn, state, jax.random.split(key, 100))
