@@ -49,6 +49,13 @@ def flat(env: pecjax.RoomsNavigation, obs: dict[str, jax.Array]) -> jax.Array:
     return encode(env.task.observation_space, scale(obs, env.scene.vehicle.camera.far))
 
 
+def snapped(action: jax.Array) -> jax.Array:
+    """The action nearest to two numbers from -1 to 1."""
+    part = (jnp.clip(action, -1, 1) + 1) / 2 * jnp.array([len(SPEEDS), len(YAW_RATES)])
+    speed, turn = jnp.floor(jnp.minimum(part, jnp.array([len(SPEEDS), len(YAW_RATES)]) - 1e-3))
+    return (speed * len(YAW_RATES) + turn).astype(jnp.int32)
+
+
 class BraxRooms(Env):
     """Our environment as Brax's PPO wants it: flat observations, continuous actions snapped."""
 
@@ -62,9 +69,7 @@ class BraxRooms(Env):
         return self._flat(self.inner.reset(rng))
 
     def step(self, state: State, action: jax.Array) -> State:
-        part = (jnp.clip(action, -1, 1) + 1) / 2 * jnp.array([len(SPEEDS), len(YAW_RATES)])
-        speed, turn = jnp.floor(jnp.minimum(part, jnp.array([len(SPEEDS), len(YAW_RATES)]) - 1e-3))
-        state = self._flat(self.inner.step(state, (speed * len(YAW_RATES) + turn).astype(jnp.int32)))
+        state = self._flat(self.inner.step(state, snapped(action)))
         return state.replace(reward=state.reward * 1e-3)
 
     @property

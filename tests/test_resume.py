@@ -249,7 +249,10 @@ def test_settings_of_version_0_1_are_todays():
         task=Rooms(table="2", maps=("my.xml",), resolution=(20, 10)),
         sampler=PEC(0.7),
         agent=agents.PPO(
-            num_envs=24, clip_epsilon=0.3, shuffle="samples", network=NetworkSettings(hidden=(8, 9))
+            num_envs=24,
+            clip_epsilon=0.3,
+            shuffle="samples",
+            network=NetworkSettings(hidden=(8, 9), critic="observation", precision="float32"),
         ),
         evaluation=EvaluationSettings(every=5, episodes=13, seed=17, greedy=False),
         stop=StopSettings(iterations=11, until_goal_ratio=0.9, patience=3),
@@ -265,6 +268,19 @@ def test_settings_of_version_0_1_are_todays():
         from_json(run_settings(former), RunSettings)
     with pytest.raises(pecjax.InputError, match="unknown algorithm 'sac'"):
         run_settings(former | {"algorithm": "sac"})
+
+
+def test_a_network_from_before_critics_were_told_more_stays_as_it_was():
+    now = RunSettings(agent=agents.PPO(network=NetworkSettings(hidden=(8,), critic="observation")))
+    former = to_json(now)
+    del former["agent"]["network"]["critic"], former["agent"]["network"]["precision"]
+    exact = replace(now.agent.network, precision="float32")
+    assert from_json(run_settings(former), RunSettings).agent.network == exact
+    assert from_json(run_settings(to_json(now)), RunSettings) == now
+    apex = to_json(RunSettings(agent=agents.Apex()))
+    assert run_settings(apex) == apex
+    study = to_json(StudySettings("own", now, (("sampler", ("pec",)),))) | {"run": former}
+    assert from_json(study_settings(study), StudySettings).run.agent.network == exact
 
 
 def test_a_table_that_a_space_left_unused_is_none_today():

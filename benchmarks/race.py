@@ -1,0 +1,159 @@
+"""The race: seconds from the command to a policy that flies, ours beside its peers at their best.
+
+    pip install -e '.[peers]'
+    python benchmarks/race.py [--racers pecjax brax ...] [--spaces 1 2 rooms-pairs] [--seeds 3] [--limit 300]
+        [--best race_best.json] [--out race.json]
+
+First every racer is searched: each of `SEARCH` once, on set 1 with seed 100, and what reaches 0.97 in the
+fewest seconds of training is its best. `--best` keeps them; what is in that file is not searched again. Then
+the best race on fresh seeds, one process a run, the racers in turn, so that a machine that drifts drifts for
+all.
+
+Every 131,072 steps the policy flies 2,000 greedy episodes, a uniform draw of the configurations; that time
+is apart. What is counted are the seconds since the process was started, and the seconds of training: those of
+all stretches, where the first, which compiles, counts as much as the median of the others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+BASE: dict[str, Any] = {
+    "num_envs": 512, "num_steps": 32, "num_epochs": 4, "num_minibatches": 8,
+    "learning_rate": 1e-3, "entropy_coeff": 0.01, "discount": 0.99, "hidden": [64, 64],
+}  # fmt: skip
+SEARCH: tuple[dict[str, Any], ...] = (
+    {},
+    {"learning_rate": 3e-4},
+    {"learning_rate": 6e-4},
+    {"learning_rate": 2e-3},
+    {"num_epochs": 2},
+    {"num_minibatches": 16},
+    {"num_envs": 1024, "num_steps": 16},
+    {"discount": 0.98},
+)
+# C MuJoCo flies few environments at its best; its batches are as large.
+OF_SB3 = {512: (64, 256), 1024: (32, 512)}
+THRESHOLDS = {"1": (0.95, 0.97), "2": (0.95, 0.97), "rooms-pairs": (0.85, 0.90)}
+EPISODES, SEARCH_SEED, FIRST_SEED = 2000, 100, 0
+
+
+def run(name: str, space: str, seed: int, settings: dict[str, Any], limit: float, started: float) -> dict:
+    """One run in this process, to the last threshold or the limit, in seconds of training."""
+    import jax
+    import numpy as np
+    from racers import RACERS
+
+    from pecjax.agents import device_mesh
+    from pecjax.envs.rooms import Rooms
+    from pecjax.runtime.devices import use_all_cores
+    from pecjax.training.build import everywhere, for_evaluation
+    from pecjax.training.evaluation import make_evaluator
+
+    use_all_cores()
+    rooms = Rooms(table=space) if space in ("1", "2") else Rooms(space=space)
+    task, world = rooms.make()
+    mesh = device_mesh(len(jax.devices()))
+    world = for_evaluation(everywhere(world, mesh), rooms.eval_set(world), mesh)
+    act, training = RACERS[name](settings, rooms, seed)
+    agent: Any = SimpleNamespace(policy=lambda params, greedy: lambda obs, key: act(params, obs, key))
+    evaluator = make_evaluator(task, agent, mesh, episodes=EPISODES, greedy=True, seed=2022)
+    stretches: list[float] = []
+    reached: dict[str, dict] = {}
+    apart, evaluate, ratio = 0.0, None, 0.0
+    while len(reached) < len(THRESHOLDS[space]):
+        begun = time.perf_counter()
+        steps, params = next(training)
+        stretches.append(time.perf_counter() - begun)
+        begun = time.perf_counter()
+        if evaluate is None:
+            evaluate = evaluator(everywhere(params, mesh), world)
+        ratio = float(np.mean(evaluate(everywhere(params, mesh), world).success))
+        apart += time.perf_counter() - begun
+        usual = statistics.median(stretches[1:] or stretches)
+        seconds = sum(stretches[1:]) + min(usual, stretches[0])
+        for threshold in THRESHOLDS[space]:
+            if ratio >= threshold and str(threshold) not in reached:
+                whole = time.time() - started - apart
+                reached[str(threshold)] = {"steps": steps, "training": seconds, "whole": whole}
+        if seconds > limit:
+            break
+    return {"reached": reached, "steps": steps, "training": seconds, "last": ratio}
+
+
+def in_process(name: str, space: str, seed: int, settings: dict[str, Any], limit: float) -> dict:
+    """The same in a process of its own, with nothing compiled before."""
+    asked = {"name": name, "space": space, "seed": seed, "settings": settings, "limit": limit}
+    command = [sys.executable, __file__, "--one", json.dumps(asked | {"started": time.time()})]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{name} failed with {settings}:\n{done.stderr[-2000:]}")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def settings_of(name: str, change: dict[str, Any]) -> dict[str, Any]:
+    """A racer's settings: the base with a change."""
+    settings = BASE | change
+    if name == "sb3":
+        settings["num_envs"], settings["num_steps"] = OF_SB3[settings["num_envs"]]
+    return settings
+
+
+def search(name: str, limit: float) -> dict[str, Any]:
+    """The best settings of a racer, and what each of those tried took."""
+    tried = []
+    for change in SEARCH:
+        result = in_process(name, "1", SEARCH_SEED, settings_of(name, change), limit)
+        seconds = result["reached"].get("0.97", {}).get("training", float("inf"))
+        tried.append({"change": change, "seconds": seconds, **result})
+        print(f"{name:10} {json.dumps(change):45} {seconds:8.1f} s, last {result['last']:.3f}", flush=True)
+    best = min(tried, key=lambda one: one["seconds"])
+    return {"settings": settings_of(name, best["change"]), "tried": tried}
+
+
+def main() -> None:
+    """Searches, races, prints the table, writes the JSON."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--racers", nargs="*", default=["pecjax", "brax", "purejax", "rejax", "sb3"])
+    parser.add_argument("--spaces", nargs="*", default=[*THRESHOLDS])
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--limit", type=float, default=300, help="seconds of training of one run")
+    parser.add_argument("--best", type=Path, default=Path("race_best.json"))
+    parser.add_argument("--out", type=Path, default=Path("race.json"))
+    parser.add_argument("--one", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.one:
+        print(json.dumps(run(**json.loads(args.one))))
+        return
+    best = json.loads(args.best.read_text()) if args.best.exists() else {}
+    for name in args.racers:
+        if name not in best:
+            best[name] = search(name, args.limit)
+            args.best.write_text(json.dumps(best, indent=2) + "\n")
+    rows = []
+    for space in args.spaces:
+        for seed in range(FIRST_SEED, FIRST_SEED + args.seeds):
+            for name in args.racers:
+                found = in_process(name, space, seed, best[name]["settings"], args.limit)
+                rows.append({"racer": name, "space": space, "seed": seed, **found})
+                args.out.write_text(json.dumps({"best": best, "runs": rows}, indent=2) + "\n")
+        for threshold in map(str, THRESHOLDS[space]):
+            print(f"\n{space} to {threshold}: median seconds of training, with all since the start, steps")
+            for name in args.racers:
+                of = [r["reached"].get(threshold) for r in rows if (r["racer"], r["space"]) == (name, space)]
+                there = [one for one in of if one]
+                figures = [statistics.median(one[k] for one in there) for k in ("training", "whole", "steps")]
+                told = "{:8.1f} {:8.1f} {:12,.0f}".format(*figures) if there else " " * 30
+                print(f"  {name:10} {told}   {len(there)} of {len(of)} reached it", flush=True)
+
+
+if __name__ == "__main__":
+    main()
