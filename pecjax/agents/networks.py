@@ -88,10 +88,8 @@ class ActorCritic(nn.Module):
             actor, critic = jnp.split(both(features), 2, axis=-1)
         else:
             actor, critic = self._first("actor", features, columns), None
-            if with_value and self.is_privileged:
-                critic = self._first("critic", known)
-            elif with_value:
-                critic = self._first("critic", features, columns)
+            if with_value:
+                critic = self._first("critic", *((features, columns) if known is None else (known,)))
         params = self._others("actor", actor, self.num_outputs, 0.01)
         if critic is None or not with_value:
             return params, None
