@@ -89,7 +89,8 @@ class ActorCritic(nn.Module):
         else:
             actor, critic = self._first("actor", features, columns), None
             if with_value:
-                critic = self._first("critic", *((features, columns) if known is None else (known,)))
+                read, transposed = (features, columns) if known is None else (known, None)
+                critic = self._first("critic", read, transposed)
         params = self._others("actor", actor, self.num_outputs, 0.01)
         if critic is None or not with_value:
             return params, None
