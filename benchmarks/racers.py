@@ -2,7 +2,7 @@
 
 A racer is a function of (settings, rooms, seed) that returns how its policy acts, (params, obs, key) ->
 action, and an iterator that trains for a stretch whenever it is asked, and gives the steps so far and the
-parameters. All take the same settings; what each cannot do is said beside it.
+parameters. All take the same settings. Each docstring names what that racer cannot do.
 """
 
 from __future__ import annotations

@@ -110,6 +110,7 @@ class Task(abc.ABC):
         It is for training alone: no policy is shown it (Pinto et al. 2018, "Asymmetric actor critic for
         image-based robot learning").
         """
+        # Not abstract, as most tasks tell critics nothing: it is called only with a `privileged_space`.
         raise NotImplementedError(f"{type(self).__name__} has a privileged_space, but not `privileged`")
 
     def fitted(self, table: Any) -> Any:

@@ -109,10 +109,10 @@ def study_settings(content: Any) -> Any:
     if not isinstance(content, Mapping):
         return content
     if "samplers" not in content:
-        grid = content.get("grid")
         if _has_unused_table(content.get("run")):
             grid = [pair for pair in content["grid"] if pair != ["task.table", ["1"]]]
-        return {**content, "grid": grid, "run": run_settings(content.get("run"))}
+            content = {**content, "grid": grid}
+        return {**content, "run": run_settings(content["run"])} if "run" in content else content
     grid = [
         ["task.table", content.get("coordinates", ["1"])],
         ["sampler", content["samplers"]],
