@@ -32,13 +32,13 @@ BASE: dict[str, Any] = {
 }  # fmt: skip
 SEARCH: tuple[dict[str, Any], ...] = (
     {},
-    {"learning_rate": 3e-4},
     {"learning_rate": 6e-4},
     {"learning_rate": 2e-3},
-    {"num_epochs": 2},
+    {"discount": 0.995},
     {"num_minibatches": 16},
+    {"num_epochs": 2, "num_minibatches": 16},
+    {"num_epochs": 2, "num_minibatches": 32, "discount": 0.995},
     {"num_envs": 1024, "num_steps": 16},
-    {"discount": 0.98},
 )
 # C MuJoCo flies few environments at its best; its batches are as large.
 OF_SB3 = {512: (64, 256), 1024: (32, 512)}

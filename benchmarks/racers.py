@@ -140,7 +140,7 @@ def brax(settings: dict[str, Any], rooms: Rooms, seed: int) -> Racer:
         value_hidden_layer_sizes=tuple(settings["hidden"]),
         activation=jnp.tanh,
     )
-    given: queue.Queue[tuple[int, Any]] = queue.Queue()
+    given: queue.Queue[tuple[int, Any] | Exception] = queue.Queue()
     go_on = threading.Semaphore(0)
 
     def hand_over(steps: int, make_policy: Any, params: Any) -> None:
@@ -170,10 +170,19 @@ def brax(settings: dict[str, Any], rooms: Rooms, seed: int) -> Racer:
         seed=seed,
     )
 
+    def train_aside() -> None:
+        try:
+            training()
+        except Exception as error:
+            given.put(error)
+
     def train() -> Iterator[tuple[int, Any]]:
-        threading.Thread(target=training, daemon=True).start()
+        threading.Thread(target=train_aside, daemon=True).start()
         while True:
-            yield given.get()
+            there = given.get()
+            if isinstance(there, Exception):
+                raise there
+            yield there
             go_on.release()
 
     network = factory(env.observation_size, env.action_size)
