@@ -91,7 +91,7 @@ class AgentSettings(abc.ABC):
 
     @property
     def observations_held(self) -> int:
-        """How many observations an iteration holds at once."""
+        """How many observations of float32 an iteration holds at once."""
         return self.num_envs * self.num_steps
 
     def with_envs(self: Self, num_envs: int) -> Self:

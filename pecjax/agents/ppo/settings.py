@@ -40,13 +40,13 @@ class PPO(AgentSettings):
         network: settings of actor and critic.
     """
 
-    num_epochs: int = 4
-    num_minibatches: int = 8
+    num_epochs: int = 2
+    num_minibatches: int = 32
     shuffle: Literal["steps", "samples"] = "steps"
     learning_rate: float = 1e-3
     adam_eps: float = 1e-5
     max_grad_norm: float | None = 0.5
-    discount: float = 0.99
+    discount: float = 0.995
     gae_lambda: float = 0.95
     clip_epsilon: float = 0.2
     value_clip: float | None = None
@@ -62,6 +62,15 @@ class PPO(AgentSettings):
     def rows(self) -> int:
         """What a minibatch is drawn from: how many time steps, or samples."""
         return self.num_steps * (self.num_envs if self.shuffle == "samples" else 1)
+
+    @property
+    def observations_held(self) -> int:
+        """How many observations of float32 an iteration holds: the batch, and once more in minibatches.
+
+        In 16 bits the minibatches are there twice, as rows and transposed.
+        """
+        batch = self.num_envs * self.num_steps
+        return 2 * batch if self.network.precision == "float32" else batch + batch // 2
 
     def make(self, task: Task, sampler: Sampler, axis_name: str | None = None) -> Agent:
         """A PPO agent (see `AgentSettings.make`)."""
