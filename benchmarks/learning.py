@@ -61,7 +61,7 @@ def learner(task: Task, mesh: Mesh, settings: PPO) -> tuple[Workload, Workload]:
     reward = jax.random.normal(key, shape)
     done = jnp.float32(reward > 2)
     recorded = features.astype(jnp.bfloat16 if settings.network.precision == "bfloat16" else jnp.float32)
-    trajectory = Trajectory(None, action, reward, done, None, (recorded, known, action, logits, value))
+    trajectory = Trajectory(None, action, reward, done, None, (recorded, known, None, action, logits, value))
 
     def act(params, seen, key):
         noise = jax.random.uniform(key, seen.obs["goal"].shape[:2])

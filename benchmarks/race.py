@@ -2,12 +2,15 @@
 
     pip install -e '.[peers]'
     python benchmarks/race.py [--racers pecjax brax ...] [--spaces 1 2 rooms-pairs] [--seeds 3] [--limit 300]
-        [--best race_best.json] [--out race.json]
+        [--best race_best.json] [--out race.json] [--pythons brax=OTHER/bin/python]
 
 First every racer is searched: each of `SEARCH` once, on set 1 with seed 100, and what reaches 0.97 in the
 fewest seconds of training is its best. `--best` keeps them; what is in that file is not searched again. Then
 the best race on fresh seeds, one process a run, the racers in turn, so that a machine that drifts drifts for
 all.
+
+`--pythons` names the Python of a racer that needs an environment of its own: Brax 0.14.2 does not train on
+JAX 0.12.
 
 Every 131,072 steps the policy flies 2,000 greedy episodes, a uniform draw of the configurations; that time
 is apart. What is counted are the seconds since the process was started, and the seconds of training: those of
@@ -64,7 +67,9 @@ def run(name: str, space: str, seed: int, settings: dict[str, Any], limit: float
     mesh = device_mesh(len(jax.devices()))
     world = for_evaluation(everywhere(world, mesh), rooms.eval_set(world), mesh)
     act, training = RACERS[name](settings, rooms, seed)
-    agent: Any = SimpleNamespace(policy=lambda params, greedy: lambda obs, key: act(params, obs, key))
+    agent: Any = SimpleNamespace(
+        policy=lambda params, greedy: lambda obs, key: act(params, obs, key), first_memory=None
+    )
     evaluator = make_evaluator(task, agent, mesh, episodes=EPISODES, greedy=True, seed=2022)
     stretches: list[float] = []
     reached: dict[str, dict] = {}
@@ -89,10 +94,12 @@ def run(name: str, space: str, seed: int, settings: dict[str, Any], limit: float
     return {"reached": reached, "steps": steps, "training": seconds, "last": ratio}
 
 
-def in_process(name: str, space: str, seed: int, settings: dict[str, Any], limit: float) -> dict:
+def in_process(
+    name: str, space: str, seed: int, settings: dict[str, Any], limit: float, python: str = sys.executable
+) -> dict:
     """The same in a process of its own, with nothing compiled before."""
     asked = {"name": name, "space": space, "seed": seed, "settings": settings, "limit": limit}
-    command = [sys.executable, __file__, "--one", json.dumps(asked | {"started": time.time()})]
+    command = [python, __file__, "--one", json.dumps(asked | {"started": time.time()})]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{name} failed with {settings}:\n{done.stderr[-2000:]}")
@@ -107,11 +114,11 @@ def settings_of(name: str, change: dict[str, Any]) -> dict[str, Any]:
     return settings
 
 
-def search(name: str, limit: float) -> dict[str, Any]:
+def search(name: str, limit: float, python: str) -> dict[str, Any]:
     """The best settings of a racer, and what each of those tried took."""
     tried = []
     for change in SEARCH:
-        result = in_process(name, "1", SEARCH_SEED, settings_of(name, change), limit)
+        result = in_process(name, "1", SEARCH_SEED, settings_of(name, change), limit, python)
         seconds = result["reached"].get("0.97", {}).get("training", float("inf"))
         tried.append({"change": change, "seconds": seconds, **result})
         print(f"{name:10} {json.dumps(change):45} {seconds:8.1f} s, last {result['last']:.3f}", flush=True)
@@ -128,21 +135,24 @@ def main() -> None:
     parser.add_argument("--limit", type=float, default=300, help="seconds of training of one run")
     parser.add_argument("--best", type=Path, default=Path("race_best.json"))
     parser.add_argument("--out", type=Path, default=Path("race.json"))
+    parser.add_argument("--pythons", nargs="*", default=[], help="RACER=PYTHON ...")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.one:
         print(json.dumps(run(**json.loads(args.one))))
         return
+    pythons = dict.fromkeys(args.racers, sys.executable) | dict(one.split("=", 1) for one in args.pythons)
     best = json.loads(args.best.read_text()) if args.best.exists() else {}
     for name in args.racers:
         if name not in best:
-            best[name] = search(name, args.limit)
+            best[name] = search(name, args.limit, pythons[name])
             args.best.write_text(json.dumps(best, indent=2) + "\n")
     rows = []
     for space in args.spaces:
         for seed in range(FIRST_SEED, FIRST_SEED + args.seeds):
             for name in args.racers:
-                found = in_process(name, space, seed, best[name]["settings"], args.limit)
+                settings = best[name]["settings"]
+                found = in_process(name, space, seed, settings, args.limit, pythons[name])
                 rows.append({"racer": name, "space": space, "seed": seed, **found})
                 args.out.write_text(json.dumps({"best": best, "runs": rows}, indent=2) + "\n")
         for threshold in map(str, THRESHOLDS[space]):

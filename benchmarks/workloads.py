@@ -170,7 +170,7 @@ def environment(
     """Our environment under random actions: flight, depth, reward, endings, resets, draws, counts."""
 
     def random_actions(seen, chance):
-        return (chance * task.action_space.num_actions).astype(jnp.int32), ()
+        return (chance * task.action_space.num_actions).astype(jnp.int32), None, ()
 
     policy = Policy(jax.random.uniform, random_actions, lambda seen: jnp.zeros(num_envs))
 

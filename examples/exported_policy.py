@@ -13,11 +13,7 @@ import onnxruntime
 
 
 class ExportedPolicy:
-    """From what sensors say to a velocity command.
-
-    Attributes:
-        about: the content of the JSON, which docs/export.md explains.
-    """
+    """From what sensors say to a velocity command; `about` is the JSON, which docs/export.md explains."""
 
     def __init__(self, path):
         """Loads both files, which must belong together."""
@@ -28,26 +24,30 @@ class ExportedPolicy:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1  # the network is too small to be shared
         self.session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+        self.begin()
+
+    def begin(self):
+        """Forgets the last episode, where the policy has a memory of it."""
+        sizes = {tensor["name"]: tensor["shape"][-1] for tensor in self.about["inputs"]}
+        self.memory = np.zeros((1, sizes.get("memory", 0)), np.float32)
 
     def inputs(self, depth, distance, bearing):
         """What the network is given, a batch of one (see `act`)."""
         camera, scaling = self.about["camera"], self.about["scaling"]
         depth = np.clip(depth, camera["near_m"], camera["far_m"]) / scaling["depth_divisor_m"]
         goal = [distance / scaling["distance_divisor_m"], np.sin(bearing), np.cos(bearing)]
-        return {"depth": np.float32(depth)[None], "goal": np.float32(goal)[None]}
+        inputs = {"depth": np.float32(depth)[None], "goal": np.float32(goal)[None]}
+        return inputs | ({"memory": self.memory} if self.memory.size else {})
 
     def act(self, depth, distance, bearing):
-        """The greedy action.
+        """The greedy action: speed ahead (m/s) and yaw rate (rad/s, positive to the left).
 
-        Args:
-            depth: (height, width) m, planar depth, inf where nothing is seen.
-            distance: m, to the goal, seen from above.
-            bearing: rad, of the goal off the heading, positive to the left.
-
-        Returns:
-            speed ahead (m/s) and yaw rate (rad/s, positive to the left).
+        The depth image (height, width) is planar and in m, inf where nothing is seen. The goal's distance (m)
+        and its bearing off the heading (rad, positive to the left) are seen from above.
         """
-        (action,) = self.session.run(["action"], self.inputs(depth, distance, bearing))
+        wanted = ["action", "memory_after"][: 1 + bool(self.memory.size)]
+        action, *after = self.session.run(wanted, self.inputs(depth, distance, bearing))
+        self.memory = after[0] if after else self.memory
         command = self.about["actions"][int(action[0])]
         return command["speed_m_s"], command["yaw_rate_rad_s"]
 

@@ -18,6 +18,7 @@ def reaches_goal(policy, simulation, start, goal, looking):
     """Flies one episode from (x, y) to (x, y); returns whether it reached its goal."""
     control, place = policy.about["control"], simulation.data.qpos
     simulation.place([*start, control["flight_height_m"]], looking)
+    policy.begin()
     for _ in range(control["max_steps"]):
         command = policy.act(simulation.depth(), *towards(goal, place[:2], heading(place[3:7])))
         if simulation.step(*command):

@@ -40,7 +40,8 @@ class PolicyNode:
         self.keep("pose", odometry, (position, [pose["orientation"][axis] for axis in "wxyz"]))
 
     def on_goal(self, goal):
-        """Keeps where to fly, until another goal comes."""
+        """Keeps where to fly, until another goal comes; a policy with a memory begins anew."""
+        self.policy.begin()
         self.goal = [goal["pose"]["position"][axis] for axis in "xy"]
 
     def keep(self, name, message, value):
@@ -51,8 +52,7 @@ class PolicyNode:
     def on_timer(self, now):
         """The Twist to fly, along the heading and level; `now` in s, by the clock of the stamps."""
         control, speed, yaw_rate, climb = self.policy.about["control"], 0.0, 0.0, 0.0
-        limit = 3 * control["period_s"]
-        known = {name: value for name, (at, value) in self.latest.items() if now - at < limit}
+        known = {n: value for n, (at, value) in self.latest.items() if now - at < 3 * control["period_s"]}
         if "pose" in known:
             position, quaternion = known["pose"]
             climb = self.policy.about["controller"]["height"] * (control["flight_height_m"] - position[2])

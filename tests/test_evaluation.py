@@ -68,7 +68,7 @@ def evaluators(rooms):
         if (devices, greedy) not in made:
             fly = make_evaluator(
                 task,
-                SimpleNamespace(policy=policy),
+                SimpleNamespace(policy=policy, first_memory=None),
                 device_mesh(devices),
                 episodes=EPISODES,
                 greedy=greedy,
@@ -241,7 +241,12 @@ def test_the_world_is_an_argument_of_the_program():
         return lambda obs, key: jnp.stack([0.8 * obs[0], 1.0])
 
     evaluate = make_evaluator(
-        Target(), SimpleNamespace(policy=policy), device_mesh(1), episodes=6, greedy=True, seed=0
+        Target(),
+        SimpleNamespace(policy=policy, first_memory=None),
+        device_mesh(1),
+        episodes=6,
+        greedy=True,
+        seed=0,
     )(jnp.zeros(()), TARGET_WORLD)  # compiled, and for no other shapes
     there = evaluate(jnp.zeros(()), TARGET_WORLD)
     elsewhere = evaluate(jnp.zeros(()), TARGET_WORLD._replace(params=jnp.float32(0.3)))

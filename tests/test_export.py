@@ -93,6 +93,10 @@ RUNS = {
     "lone": pecjax.RunSettings(
         task=Odd(actions=4), agent=PPO(network=NetworkSettings(hidden=(8, 8, 8), initializer="normc"))
     ),
+    "gru": pecjax.RunSettings(agent=PPO(network=NetworkSettings(memory="gru", memory_size=12))),
+    "mingru": pecjax.RunSettings(
+        task=Odd(), agent=PPO(network=NetworkSettings("cnn", hidden=(8, 6), memory="mingru"))
+    ),
 }
 
 
@@ -153,8 +157,11 @@ def our_actions(run, inputs):
     trained = pecjax.open_run(run)
     space = trained.run.task.observation_space
     obs = jax.tree.unflatten(jax.tree.structure(space), [inputs[name] for name in input_names(space)])
-    act = trained.policy(greedy=True)
-    return np.asarray(jax.jit(jax.vmap(lambda one: act(one, jax.random.key(0))))(obs))
+    act, key = trained.policy(greedy=True), jax.random.key(0)
+    if "memory" in inputs:
+        acts = jax.jit(jax.vmap(lambda one, memory: act(one, key, memory)))
+        return [np.asarray(found) for found in acts(obs, inputs["memory"])]
+    return [np.asarray(jax.jit(jax.vmap(lambda one: act(one, key)))(obs))]
 
 
 @pytest.mark.parametrize("name", RUNS)
@@ -169,10 +176,15 @@ def test_onnxruntime_and_a_fresh_jax_agree_with_the_policy(name, runs, by_jax):
         assert [(t["name"], t["shape"]) for t in tensors] == [(t.name, t.shape) for t in there]
         kinds = {"tensor(float)": "float32", "tensor(int32)": "int32"}
         assert [t["dtype"] for t in tensors] == [kinds[t.type] for t in there]
-    values, actions = session.run(None, inputs)
+    values, actions, *after = session.run(None, inputs)
     size = np.abs(values).max()
     assert np.abs(outputs[session.get_outputs()[0].name] - values).max() <= 1e-5 * size
-    ours = our_actions(run, inputs)
+    ours, *our_memory = our_actions(run, inputs)
+    assert len(after) == len(our_memory) == name.endswith("gru")
+    for found, wanted in zip(after, our_memory, strict=True):
+        np.testing.assert_allclose(found, wanted, atol=1e-5)
+        np.testing.assert_allclose(outputs["memory_after"], wanted, atol=1e-5)
+        assert np.abs(found).mean() > 0.1
     for found in (actions, outputs[ACTION]):
         assert found.dtype == about["outputs"][1]["dtype"] and found.shape == ours.shape
         if found.ndim == 1:

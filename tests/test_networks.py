@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pecjax.agents.networks import ActorCritic, NetworkSettings, decide, forward, patches
+from pecjax.agents.convolutions import patches
+from pecjax.agents.networks import ActorCritic, NetworkSettings, decide, forward
 from pecjax.agents.observations import boxes, encode, image_shapes, num_values
 from pecjax.agents.products import bfloat16_product
 from pecjax.envs.rooms.sensing import scale
@@ -39,7 +40,7 @@ def features(*batch: int, height: int = 12, width: int = 16, seed: int = 0):
 def made(settings: NetworkSettings, height: int = 12, width: int = 16):
     network = ActorCritic(settings, ACTIONS, image_shapes(space(height, width)))
     params = jax.jit(network.init)(jax.random.key(0), features(1, height=height, width=width))
-    return network, params, jax.jit(network.apply)
+    return network, params, jax.jit(lambda params, obs: forward(network, params, obs))
 
 
 @pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
@@ -112,7 +113,7 @@ def test_actor_and_critic_share_no_parameter(settings, height, width):
     @jax.jit
     def gradients(params):
         """Of a function of the logits, and of one of the value."""
-        outputs, pull_back = jax.vjp(lambda p: network.apply(p, obs), params)
+        outputs, pull_back = jax.vjp(lambda p: forward(network, p, obs), params)
         logits, value = jax.tree.map(jnp.cos, outputs)
         return pull_back((logits, 0 * value)), pull_back((0 * logits, value))
 
@@ -196,7 +197,7 @@ def test_a_privileged_critic_reads_what_it_knows_and_the_actor_does_not(settings
     np.testing.assert_array_equal(same_value, value)
     np.testing.assert_array_equal(same_logits, logits)
     assert np.abs(of_others - logits).min(axis=0).max() > 0 and np.abs(other_value - value).min() > 0
-    np.testing.assert_allclose(decide(network, params, rows), logits, atol=1e-3)  # in float32
+    np.testing.assert_allclose(decide(network, params, rows).params, logits, atol=1e-3)  # in float32
     assert "critic_convolutions" not in params["params"]  # it sees no image
 
 

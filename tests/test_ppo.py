@@ -21,7 +21,7 @@ import pecjax
 from pecjax.agents import AXIS, PPO, device_mesh, shard
 from pecjax.agents.distributions import categorical, tanh_normal
 from pecjax.agents.networks import ActorCritic, NetworkSettings, forward
-from pecjax.agents.ppo import update as ppo_update
+from pecjax.agents.ppo import minibatches, update as ppo_update
 from pecjax.agents.ppo.update import Batch
 from pecjax.agents.rollout import Trajectory
 from pecjax.curriculum import PEC
@@ -36,7 +36,7 @@ ROWS, ACTIONS = 64, 15
 OF_ACTIONS = categorical(ACTIONS)
 
 # Stands in for a network: its parameters are the logits and values themselves.
-IDENTITY = SimpleNamespace(apply=lambda params, features, known, columns: params)
+IDENTITY = SimpleNamespace(apply=lambda params, *_: (*params, None))
 
 
 def of_drawn(logits, drawn):
@@ -191,7 +191,7 @@ def test_terms_of_continuous_actions_equal_scipys():
 def trajectory_of(rewards, values, dones, bootstrap=None) -> Trajectory:
     logits = np.zeros((*values.shape, ACTIONS), np.float32)
     drawn = np.zeros(values.shape, np.int32)
-    return Trajectory(None, drawn, rewards, dones, bootstrap, (None, None, drawn, logits, values))
+    return Trajectory(None, drawn, rewards, dones, bootstrap, (None, None, None, drawn, logits, values))
 
 
 def random_trajectory(scale: float = 500.0):
@@ -220,7 +220,7 @@ def test_advantages_are_standardised_over_the_whole_batch(devices, reward_scale)
     settings = replace(RLLIB, reward_scale=reward_scale)
     trajectory, last_value = random_trajectory()
     batch = prepared(settings, trajectory, last_value, devices)
-    values = jnp.concatenate([trajectory.extras[4], last_value[None]])
+    values = jnp.concatenate([trajectory.extras[5], last_value[None]])
     raw = jax.vmap(rlax.truncated_generalized_advantage_estimation, (1, 1, None, 1), 1)(
         reward_scale * trajectory.reward, 0.99 * (1 - trajectory.done), 0.95, values
     )
@@ -246,7 +246,7 @@ def test_a_tiny_deviation_counts_as_a_ten_thousandth(devices):
     trajectory, last_value = random_trajectory(scale=1e-6)
     dones = np.ones_like(trajectory.done)  # advantage = reward - value
     batch = prepared(RLLIB, trajectory._replace(done=dones), last_value, devices)
-    raw = np.float64(trajectory.reward) - trajectory.extras[4]
+    raw = np.float64(trajectory.reward) - trajectory.extras[5]
     # The rewards lie around -1 with a spread of 1e-6, of which float32 keeps 6e-8.
     np.testing.assert_allclose(batch.advantage, (raw - raw.mean()) / 1e-4, atol=2e-3)
     assert batch.advantage.std() < 0.05
@@ -274,7 +274,7 @@ def test_a_kl_coefficient_that_halves_for_ever_can_still_rise():
 
 def minibatch_rows(settings, key, num_rows):
     """The rows of every minibatch of every epoch."""
-    rows, order = ppo_update.shuffle(settings, key, num_rows)
+    rows, order = minibatches.shuffle(settings, key, num_rows)
     return np.asarray(rows[order])
 
 
@@ -347,8 +347,10 @@ NEAR = pecjax.Configurations(
 )
 SMALL = PPO(
     num_envs=128,
+    num_epochs=4,
     num_minibatches=4,
     learning_rate=1e-3,
+    discount=0.99,
     # What devices sum up in another order would be rounded to another number of 8 bits.
     network=NetworkSettings(precision="float32", hidden=(32,)),
 )
@@ -574,6 +576,7 @@ def test_it_learns_to_reach_a_goal_one_metre_away(small):
 TINY = PPO(
     num_envs=64,
     num_steps=10,
+    num_epochs=4,
     num_minibatches=2,
     learning_rate=3e-3,
     discount=0.9,

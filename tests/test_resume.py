@@ -104,8 +104,10 @@ def whole(folders):
     return get
 
 
+REMEMBERS = replace(PPO, agent=replace(PPO.agent, network=NetworkSettings(hidden=(8,), memory="gru")))
 CASES = [
     pytest.param(PPO, "pec", 1, id="ppo-pec-1"),
+    pytest.param(REMEMBERS, "pec", 2, id="ppo-gru-pec-2"),
     pytest.param(PPO, "uniform", 2, id="ppo-uniform-2", marks=pytest.mark.slow),
     pytest.param(PPO, "mixture", 2, id="ppo-mixture-2", marks=pytest.mark.slow),
     pytest.param(PPO, "plr", 2, id="ppo-plr-2", marks=pytest.mark.slow),

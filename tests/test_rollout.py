@@ -32,7 +32,7 @@ TABLE = fill(
 
 def anything(seen, chance):
     """Any action, whatever is seen."""
-    return (chance * 15).astype(jnp.int32), chance
+    return (chance * 15).astype(jnp.int32), None, chance
 
 
 def no_value(seen):
@@ -328,7 +328,7 @@ def walks():
     """Successive batches of walks, shorter than a walk may be: (trajectory, episodes)."""
     policy = Policy(
         lambda key: jax.random.bernoulli(key, 0.6).astype(jnp.int32),
-        lambda seen, noise: (noise, ()),
+        lambda seen, noise: (noise, None, ()),
         lambda seen: 1000 + seen.obs[:, 0],
     )
     task, sampler, envs = Walk(), uniform(3), None

@@ -45,9 +45,10 @@ class Agent(NamedTuple):
         iterate: (TrainState, world) -> (TrainState, Metrics), one iteration of the paper's Fig. 1
             (lines 2-16).
         policy: (TrainState.learner, greedy=False) -> act, where act(obs, key) -> action for a
-            single observation.
+            single observation; with a memory, act(obs, key, memory) -> (action, memory after it).
         steps_per_iteration: environment steps of one iteration, over all environments.
         replay_bytes: size of the replay, over all devices.
+        first_memory: what its policies carry where an episode begins; None of an agent without memory.
     """
 
     init: Callable[..., TrainState]
@@ -55,6 +56,7 @@ class Agent(NamedTuple):
     policy: Callable[..., Callable[[Any, jax.Array], jax.Array]]
     steps_per_iteration: int
     replay_bytes: int = 0
+    first_memory: Any = None
 
 
 @dataclass(frozen=True)

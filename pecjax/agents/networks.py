@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pecjax.agents.convolutions import Convolutions
+from pecjax.agents.memory import Cell, Kind
 from pecjax.agents.products import bfloat16_product
 
 
@@ -29,6 +31,9 @@ class NetworkSettings:
             `observation` where the task tells nothing.
         precision: of the operands of matrix products in training, whose sums are float32 in any case. What
             is evaluated, watched and exported computes in float32.
+        memory: what the network carries from step to step of an episode (see `memory.Cell`); its last hidden
+            layers read it beside the first layer.
+        memory_size: H, how many numbers that is.
     """
 
     encoder: Literal["mlp", "cnn"] = "mlp"
@@ -36,10 +41,15 @@ class NetworkSettings:
     initializer: Literal["orthogonal", "normc"] = "orthogonal"
     critic: Literal["privileged", "observation"] = "privileged"
     precision: Literal["bfloat16", "float32"] = "bfloat16"
+    memory: Kind = "none"
+    memory_size: int = 64
+
+    def first_memory(self) -> jax.Array | None:
+        """(H,), what an episode begins with; None without a memory."""
+        return None if self.memory == "none" else jnp.zeros(self.memory_size)
 
 
 Initializer = Callable[..., jax.Array]
-CONVOLUTIONS = ((16, 4), (32, 2), (32, 2))  # channels, and the kernel's size, which is its stride too
 
 
 def normc(scale: float) -> Initializer:
@@ -50,6 +60,14 @@ def normc(scale: float) -> Initializer:
         return scale * weights / jnp.linalg.norm(weights, axis=0, keepdims=True)
 
     return init
+
+
+class Output(NamedTuple):
+    """What a network puts out: parameters of the action's distribution (N, P), value (N,), memory (B, H)."""
+
+    params: jax.Array
+    value: jax.Array | None
+    memory: jax.Array | None
 
 
 class ActorCritic(nn.Module):
@@ -72,41 +90,51 @@ class ActorCritic(nn.Module):
         features: jax.Array,
         known: jax.Array | None = None,
         columns: jax.Array | None = None,
+        memory: jax.Array | None = None,
+        starts: jax.Array | None = None,
         with_value: bool = True,
-    ) -> tuple[jax.Array, jax.Array | None]:
-        """See `forward`, which is this with the parameters given.
+    ) -> Output:
+        """See `forward_in_time`, which is this with the parameters given.
 
         Args:
             with_value: whether the critic is asked, too.
         """
         settings = self.settings
-        if settings.encoder == "mlp" and not self.is_privileged:
+        if settings.encoder == "mlp" and settings.memory == "none" and not self.is_privileged:
             # Both first layers in one matrix product: they read the same features, most of the work.
             both = _dense(
                 settings, 2 * settings.hidden[0], "first", _two_halves(_kernel_init(settings)), columns
             )
-            actor, critic = jnp.split(both(features), 2, axis=-1)
+            actor, critic = jnp.split(nn.tanh(both(features)), 2, axis=-1)
         else:
-            actor, critic = self._first("actor", features, columns), None
+            actor, critic = nn.tanh(self._first("actor", features, columns)), None
             if with_value:
                 read, transposed = (features, columns) if known is None else (known, None)
-                critic = self._first("critic", read, transposed)
+                critic = nn.tanh(self._first("critic", read, transposed))
+        if memory is not None:
+            cell = Cell(settings.memory, settings.memory_size, _product(settings), name="memory")
+            in_time = actor.reshape(-1, memory.shape[0], actor.shape[-1])
+            seen, memory = cell(in_time, memory, starts)
+            seen = seen.reshape(actor.shape[0], -1)
+            actor = jnp.concatenate([actor, seen], axis=-1)
+            if critic is not None and known is None:
+                critic = jnp.concatenate([critic, seen], axis=-1)
         params = self._others("actor", actor, self.num_outputs, 0.01)
         if critic is None or not with_value:
-            return params, None
+            return Output(params, None, memory)
         gain = 0.01 if settings.initializer == "normc" else 1.0
-        return params, self._others("critic", critic, 1, gain)[..., 0]
+        return Output(params, self._others("critic", critic, 1, gain)[..., 0], memory)
 
     def _first(self, name: str, x: jax.Array, columns: jax.Array | None = None) -> jax.Array:
         if self.settings.encoder == "cnn" and not (name == "critic" and self.is_privileged):
             columns = None
-            x = _Convolutions(self.settings, self.image_shapes, name=f"{name}_convolutions")(x)
+            x = Convolutions(self.image_shapes, _product(self.settings), name=f"{name}_convolutions")(x)
         return _dense(self.settings, self.settings.hidden[0], f"{name}_0", columns=columns)(x)
 
     def _others(self, name: str, x: jax.Array, width: int, gain: float) -> jax.Array:
         for layer, hidden in enumerate(self.settings.hidden[1:], 1):
-            x = _dense(self.settings, hidden, f"{name}_{layer}")(nn.tanh(x))
-        return _dense(self.settings, width, f"{name}_output", _kernel_init(self.settings, gain))(nn.tanh(x))
+            x = nn.tanh(_dense(self.settings, hidden, f"{name}_{layer}")(x))
+        return _dense(self.settings, width, f"{name}_output", _kernel_init(self.settings, gain))(x)
 
 
 def _kernel_init(settings: NetworkSettings, gain: float = np.sqrt(2)) -> Initializer:
@@ -138,38 +166,6 @@ def _product(settings: NetworkSettings, columns: jax.Array | None = None) -> Cal
     return bfloat16_product(columns) if settings.precision == "bfloat16" else None
 
 
-class _Convolutions(nn.Module):
-    """Three convolutions over each image, and what is no image as it is.
-
-    Their kernels do not overlap (4×4, 2×2, 2×2), so that each is a matrix product over patches,
-    which XLA is quick at on every device; its convolutions' gradients are slow on the CPU.
-    """
-
-    settings: NetworkSettings
-    image_shapes: tuple[tuple[int, ...], ...]
-
-    @nn.compact
-    def __call__(self, features: jax.Array) -> jax.Array:
-        parts, product = [], _product(self.settings)
-        for shape in self.image_shapes:
-            pixels = int(np.prod(shape))
-            x, features = features[..., :pixels], features[..., pixels:]
-            x = x.reshape(*x.shape[:-1], *shape[:2], *(shape[2:] or (1,)))
-            for channels, kernel in CONVOLUTIONS:
-                x = nn.relu(nn.Dense(channels, dot_general=product)(patches(x, kernel)))
-            parts.append(x.reshape(*x.shape[:-3], -1))
-        return jnp.concatenate([*parts, features], axis=-1)
-
-
-def patches(image: jax.Array, size: int) -> jax.Array:
-    """Cuts (…, H, W, C) into squares, (…, ⌈H/size⌉, ⌈W/size⌉, size²·C), zeros beyond the edge."""
-    *batch, height, width, channels = image.shape
-    rows, columns = -(-height // size), -(-width // size)
-    edge = [(0, 0)] * len(batch) + [(0, rows * size - height), (0, columns * size - width), (0, 0)]
-    cut = jnp.pad(image, edge).reshape(*batch, rows, size, columns, size, channels)
-    return jnp.moveaxis(cut, -4, -3).reshape(*batch, rows, columns, size * size * channels)
-
-
 def forward(
     network: ActorCritic,
     params: Any,
@@ -177,16 +173,44 @@ def forward(
     known: jax.Array | None = None,
     columns: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """Parameters of the distribution (…, P) and values (…,) under the given parameters.
+    """Parameters of the distribution (…, P) and values (…,) of a network without a memory.
 
     Args:
         known: (…, K), the critic's features, where it has its own.
         columns: the features (N, F) transposed in memory, (F, N), see `bfloat16_product`.
     """
-    return cast(tuple[jax.Array, jax.Array], network.apply(params, features, known, columns))
+    return forward_in_time(network, params, features, known, columns)[:2]
 
 
-def decide(network: ActorCritic, params: Any, features: jax.Array) -> jax.Array:
-    """Parameters of the distribution (…, P) alone, for flights beside training: in float32 in any case."""
+def forward_in_time(
+    network: ActorCritic,
+    params: Any,
+    features: jax.Array,
+    known: jax.Array | None = None,
+    columns: jax.Array | None = None,
+    memory: jax.Array | None = None,
+    starts: jax.Array | None = None,
+) -> Output:
+    """The same of any network: features (N, F) are of L steps of B environments, step by step, N = L B.
+
+    Args:
+        memory: (B, H), before the first step; None of a network without one.
+        starts: (L, B), 1 where a step is an episode's first; None for nowhere.
+    """
+    return cast(Output, network.apply(params, features, known, columns, memory, starts))
+
+
+def decide(network: ActorCritic, params: Any, features: jax.Array, memory: jax.Array | None = None) -> Output:
+    """One step without the critic, for flights beside training: in float32 in any case.
+
+    Args:
+        features: (…, F).
+        memory: (…, H), None of a network without one.
+    """
     exact = network.clone(settings=replace(network.settings, precision="float32"))
-    return cast(tuple[jax.Array, None], exact.apply(params, features, with_value=False))[0]
+    if memory is None:
+        return cast(Output, exact.apply(params, features, with_value=False))
+    rows, carried = features.reshape(-1, features.shape[-1]), memory.reshape(-1, memory.shape[-1])
+    out = cast(Output, exact.apply(params, rows, memory=carried, with_value=False))
+    batch = features.shape[:-1]
+    return Output(out.params.reshape(*batch, -1), None, cast(jax.Array, out.memory).reshape(memory.shape))

@@ -20,10 +20,12 @@ class Seen(NamedTuple):
     Attributes:
         obs: the observations.
         privileged: what only a critic may use, see `Task.privileged`; None of a task that gives nothing.
+        memory: what the agent carries through the episode; None of an agent without memory.
     """
 
     obs: Any
     privileged: Any
+    memory: Any = None
 
 
 class Policy(NamedTuple):
@@ -31,14 +33,16 @@ class Policy(NamedTuple):
 
     Attributes:
         noise: (key) -> all the randomness that one action may have.
-        act: (what is seen, noise (B, …)) -> (actions (B, …), whatever else the agent wants recorded of
-            the step).
+        act: (what is seen, noise (B, …)) -> (actions (B, …), the memory after the step, whatever else the
+            agent wants recorded of it).
         value: (what is seen) -> (B,), what is bootstrapped from where a task truncates.
+        first_memory: of one environment, where an episode begins; None of an agent without memory.
     """
 
     noise: Callable[[jax.Array], Any]
-    act: Callable[[Seen, Any], tuple[jax.Array, Any]]
+    act: Callable[[Seen, Any], tuple[jax.Array, Any, Any]]
     value: Callable[[Seen], jax.Array]
+    first_memory: Any = None
 
 
 class RolloutState(NamedTuple):
@@ -48,11 +52,13 @@ class RolloutState(NamedTuple):
         state: of the task.
         obs: what each of them sees.
         running: their episodes.
+        memory: of the agent, see `Seen`.
     """
 
     state: Any
     obs: Any
     running: Running
+    memory: Any = None
 
 
 class Trajectory(NamedTuple):
@@ -97,14 +103,23 @@ def _draw(sampler: Sampler, sampler_state: Any, noise: Any, keys: jax.Array, num
 
 
 def init_rollout(
-    task: Task, world: World, sampler: Sampler, sampler_state: Any, key: jax.Array, num_envs: int
+    task: Task,
+    world: World,
+    sampler: Sampler,
+    sampler_state: Any,
+    key: jax.Array,
+    num_envs: int,
+    first_memory: Any = None,
 ) -> RolloutState:
     """Starts B environments in configurations drawn from the sampler."""
     keys = env_keys(key, jnp.arange(num_envs))
     draws = jax.tree.map(lambda leaf: leaf[0], _draw(sampler, sampler_state, lambda key: (), keys, 1))
     state = _reset(task, world, draws)
     return RolloutState(
-        state, _observe(task, world, draws.observe, state), start_episodes(draws.config_id, task.metrics)
+        state,
+        _observe(task, world, draws.observe, state),
+        start_episodes(draws.config_id, task.metrics),
+        jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (num_envs, *leaf.shape)), first_memory),
     )
 
 
@@ -117,11 +132,12 @@ def _observe(task: Task, world: World, keys: jax.Array, state: Any) -> Any:
     return jax.vmap(task.observe, in_axes=(0, 0, None))(keys, state, world.params)
 
 
-def see(task: Task, world: World, state: Any, obs: Any) -> Seen:
-    """What an agent is given of environments in these states, with these observations."""
+def see(task: Task, world: World, envs: RolloutState) -> Seen:
+    """What an agent is given of these environments."""
     if task.privileged_space is None:
-        return Seen(obs, None)
-    return Seen(obs, jax.vmap(task.privileged, in_axes=(0, None))(state, world.params))
+        return Seen(envs.obs, None, envs.memory)
+    privileged = jax.vmap(task.privileged, in_axes=(0, None))(envs.state, world.params)
+    return Seen(envs.obs, privileged, envs.memory)
 
 
 def rollout(
@@ -147,14 +163,14 @@ def rollout(
     all_draws = _draw(sampler, sampler_state, policy.noise, env_keys(key, env_ids), num_steps)
 
     def step(envs: RolloutState, draws: _Draws) -> tuple[RolloutState, tuple[Trajectory, Episodes]]:
-        action, extras = policy.act(see(task, world, envs.state, envs.obs), draws.noise)
+        action, memory, extras = policy.act(see(task, world, envs), draws.noise)
         after = jax.vmap(task.step, in_axes=(0, 0, 0, None))(draws.step, envs.state, action, world.params)
         running, episodes = step_episodes(envs.running, after, task.metrics)
         done = episodes.outcomes.done
         bootstrap = None
         if task.truncates:
             last_obs = _observe(task, world, draws.last_look, after.state)
-            value = policy.value(see(task, world, after.state, last_obs))
+            value = policy.value(see(task, world, RolloutState(after.state, last_obs, running, memory)))
             bootstrap = jnp.where(after.truncated & ~after.terminated, value, 0.0)
         trajectory = Trajectory(envs.obs, action, after.reward, jnp.float32(done), bootstrap, extras)
         # Observed once a step, what stands there now: the last sight of an episode is of no use.
@@ -163,6 +179,7 @@ def rollout(
             state,
             _observe(task, world, draws.observe, state),
             reset_where(done, start_episodes(draws.config_id, task.metrics), running),
+            reset_where(done, policy.first_memory, memory),
         )
         return envs, (trajectory, episodes)
 

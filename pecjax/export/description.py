@@ -15,7 +15,7 @@ from pecjax.envs.rooms.sensing import DISTANCE_SCALE
 from pecjax.envs.rooms.task import RoomsTask
 from pecjax.envs.rooms.vehicle import Camera, Vehicle
 from pecjax.envs.spaces import Box, Discrete
-from pecjax.export.policy import ACTION, Policy
+from pecjax.export.policy import ACTION, MEMORY, MEMORY_AFTER, Policy
 from pecjax.training.kinds import run_label
 from pecjax.training.load import Trained
 from pecjax.training.run_directory import RunDirectory
@@ -27,6 +27,7 @@ _MEANING = {
     "from the drone's heading to the goal, seen from above, positive to the left",
     "objective": f"1 for the episode's objective, 0 for the others: {', '.join(OBJECTIVES)}",
 }
+_MEMORY = f"zeros at an episode's first step, then what the step before gave as {MEMORY_AFTER}"
 _OUTPUTS = {
     "logits": "logits of the actions; softmax makes probabilities of them",
     "q_values": "discounted return expected of each action, in units of the learner's scaled reward",
@@ -48,7 +49,10 @@ def describe(directory: RunDirectory, trained: Trained, policy: Policy) -> dict[
             "versions": facts["versions"],
         },
         "exported_with": {name: importlib.metadata.version(name) for name in ("pecjax", "jax")},
-        "inputs": [_tensor(name, box, _MEANING if is_rooms else {}) for name, box in policy.inputs.items()],
+        "inputs": [
+            _tensor(name, box, (_MEANING if is_rooms else {}) | {MEMORY: _MEMORY})
+            for name, box in policy.inputs.items()
+        ],
         "outputs": _outputs(policy),
     }
     return content | (_rooms(task) if is_rooms else {})
@@ -72,10 +76,13 @@ def _outputs(policy: Policy) -> list[dict[str, Any]]:
         number = 2 * space.size
         action = _tensor(ACTION, space, {})
     values = {"name": policy.output, "dtype": "float32", "shape": ["batch", number]}
-    return [
+    outputs = [
         values | {"meaning": _OUTPUTS[policy.output]},
         {"name": ACTION} | action | {"meaning": "the greedy action"},
     ]
+    if policy.memory is not None:
+        outputs.append(_tensor(MEMORY_AFTER, policy.memory, {MEMORY_AFTER: f"the next step's {MEMORY}"}))
+    return outputs
 
 
 def _rooms(task: RoomsTask) -> dict[str, Any]:

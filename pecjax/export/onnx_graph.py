@@ -9,10 +9,10 @@ import numpy as np
 
 import pecjax
 from pecjax.agents.apex.q_network import QNetwork
-from pecjax.agents.networks import CONVOLUTIONS
+from pecjax.agents.convolutions import CONVOLUTIONS
 from pecjax.agents.observations import LEVELS, in_order, is_byte
 from pecjax.envs.spaces import Box, Discrete
-from pecjax.export.policy import ACTION, Policy
+from pecjax.export.policy import ACTION, MEMORY, MEMORY_AFTER, Policy
 
 # What runtimes of the last years read; the graph needs nothing newer.
 OPSET, IR_VERSION = 17, 8
@@ -75,6 +75,10 @@ def onnx_model(policy: Policy) -> bytes:
         helper.make_tensor_value_info(policy.output, TensorProto.FLOAT, ["batch", size]),
         helper.make_tensor_value_info(ACTION, action_type, action_shape),
     ]
+    if policy.memory is not None:
+        outputs.append(
+            helper.make_tensor_value_info(MEMORY_AFTER, TensorProto.FLOAT, ["batch", *policy.memory.shape])
+        )
     model = helper.make_model(
         helper.make_graph(graph.nodes, "policy", inputs, outputs, graph.weights),
         opset_imports=[helper.make_opsetid("", OPSET)],
@@ -91,13 +95,36 @@ def _actor(graph: Graph, policy: Policy, params: dict[str, Any]) -> str:
     settings = policy.network.settings
     if settings.encoder == "cnn":
         x = graph.dense(_convolved(graph, policy, params["actor_convolutions"]), params["actor_0"])
-    elif policy.network.is_privileged:
+    elif policy.network.is_privileged or policy.memory is not None:
         x = graph.dense(_features(graph, policy), params["actor_0"])
     else:
         x = graph.dense(_features(graph, policy), params["first"], slice(settings.hidden[0]))
+    x = graph.add("Tanh", x)
+    if policy.memory is not None:
+        x = graph.add("Concat", x, _remembered(graph, policy, x, params["memory"]), axis=1)
     for layer in range(1, len(settings.hidden)):
-        x = graph.dense(graph.add("Tanh", x), params[f"actor_{layer}"])
-    return graph.dense(graph.add("Tanh", x), params["actor_output"])
+        x = graph.add("Tanh", graph.dense(x, params[f"actor_{layer}"]))
+    return graph.dense(x, params["actor_output"])
+
+
+def _remembered(graph: Graph, policy: Policy, x: str, params: dict[str, Any]) -> str:
+    """The memory after the step, of `memory.Cell`."""
+    size, is_gru = policy.network.settings.memory_size, policy.network.settings.memory == "gru"
+    *reset, gate, new = (graph.dense(x, params["read"], part) for part in _parts(size, 3 if is_gru else 2))
+    if is_gru:
+        layer = {"kernel": params["recall"], "bias": np.zeros(3 * size)}
+        of_reset, of_gate, of_new = (graph.dense(MEMORY, layer, part) for part in _parts(size, 3))
+        gate = graph.add("Add", gate, of_gate)
+        of_new = graph.add("Add", of_new, graph.weight(params["recall_bias"]))
+        share = graph.add("Sigmoid", graph.add("Add", *reset, of_reset))
+        new = graph.add("Add", new, graph.add("Mul", share, of_new))
+    share, new = graph.add("Sigmoid", gate), graph.add("Tanh", new)
+    kept = graph.add("Mul", share, graph.add("Sub", MEMORY, new))  # (1 - z) n + z h = n + z (h - n)
+    return graph.add("Add", new, kept, name=MEMORY_AFTER)
+
+
+def _parts(size: int, number: int) -> list[slice]:
+    return [slice(k * size, (k + 1) * size) for k in range(number)]
 
 
 def _q_values(graph: Graph, policy: Policy, params: dict[str, Any]) -> str:

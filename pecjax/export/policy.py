@@ -20,7 +20,8 @@ from pecjax.errors import InputError
 from pecjax.training.kinds import kind_name
 from pecjax.training.load import Trained
 
-ACTION = "action"  # the output
+ACTION = "action"  # an output
+MEMORY, MEMORY_AFTER = "memory", "memory_after"  # an input and an output, where the network has a memory
 
 
 class Policy(NamedTuple):
@@ -32,6 +33,7 @@ class Policy(NamedTuple):
         params: the network's, as NumPy arrays.
         names: of the inputs, one for each leaf of the observation space in the order of its tree.
         output: the name of what the network puts out: logits, parameters (of a distribution) or q_values.
+        memory: what it carries from step to step; None of a network without memory.
     """
 
     observation_space: Any
@@ -40,11 +42,13 @@ class Policy(NamedTuple):
     params: Any
     names: tuple[str, ...]
     output: str
+    memory: Box | None = None
 
     @property
     def inputs(self) -> dict[str, Box]:
-        """The boxes of the observation by name."""
-        return dict(zip(self.names, jax.tree.leaves(self.observation_space), strict=True))
+        """The boxes of the observation by name, and the memory's."""
+        boxes = dict(zip(self.names, jax.tree.leaves(self.observation_space), strict=True))
+        return boxes if self.memory is None else boxes | {MEMORY: self.memory}
 
 
 def policy_of(trained: Trained) -> Policy:
@@ -65,10 +69,12 @@ def policy_of(trained: Trained) -> Policy:
         )
     names = input_names(task.observation_space)
     for name in names:
-        if names.count(name) > 1 or name in (output, ACTION):
+        if names.count(name) > 1 or name in (output, ACTION, MEMORY, MEMORY_AFTER):
             raise InputError(f"the observation '{name}' has the name of another input or output; rename it")
     params = jax.tree.map(np.asarray, trained.learner.params)
-    return Policy(task.observation_space, task.action_space, network, params, names, output)
+    first = trained.run.agent.first_memory
+    memory = None if first is None else Box(first.shape)
+    return Policy(task.observation_space, task.action_space, network, params, names, output, memory)
 
 
 def input_names(space: Any) -> tuple[str, ...]:
@@ -81,12 +87,16 @@ def input_names(space: Any) -> tuple[str, ...]:
 
 
 def evaluate(policy: Policy, inputs: dict[str, jax.Array]) -> dict[str, jax.Array]:
-    """What the network puts out for inputs (B, …), and the greedy action: (B,) int32, or (B, A)."""
+    """What the network puts out for inputs (B, …), and the greedy action: (B,) int32, or (B, A).
+
+    And the memory after the step, where the network has one.
+    """
     space = policy.observation_space
     obs = jax.tree.unflatten(jax.tree.structure(space), [inputs[name] for name in policy.names])
     if isinstance(policy.network, QNetwork):
         values = action_values(policy.network, policy.params, unpack(space, pack(space, obs)))
         return {policy.output: values, ACTION: jnp.argmax(values, axis=-1).astype(jnp.int32)}
     distribution = make_distribution(policy.action_space)
-    params = decide(policy.network, policy.params, encode(space, obs))
-    return {policy.output: params, ACTION: distribution.action(distribution.mode(params))}
+    out = decide(policy.network, policy.params, encode(space, obs), inputs.get(MEMORY))
+    outputs = {policy.output: out.params, ACTION: distribution.action(distribution.mode(out.params))}
+    return outputs if out.memory is None else outputs | {MEMORY_AFTER: out.memory}

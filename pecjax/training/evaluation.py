@@ -67,7 +67,7 @@ def make_episode_runner(
 
     def run(learner: Any, world: World, config_id: jax.Array, episode: jax.Array) -> EvalResult:
         keys = env_keys(jax.random.key(seed), episode)
-        return run_episodes(task, world, agent.policy(learner, greedy), keys, config_id)
+        return run_episodes(task, world, agent.policy(learner, greedy), keys, config_id, agent.first_memory)
 
     return run
 
@@ -122,17 +122,29 @@ def make_evaluator(
 def run_episodes(
     task: Task,
     world: World,
-    act: Callable[[Any, jax.Array], jax.Array],
+    act: Callable[..., Any],
     keys: jax.Array,
     config_id: jax.Array,
+    first_memory: Any = None,
 ) -> EvalResult:
-    """Runs one episode per key (E,) and configuration (E,), all side by side, until the last has ended."""
+    """Runs one episode per key (E,) and configuration (E,), all side by side, until the last has ended.
+
+    Args:
+        act, first_memory: see `Agent.policy`.
+    """
+
+    def act_once(obs: Any, key: jax.Array, memory: Any) -> tuple[jax.Array, Any]:
+        return (act(obs, key), None) if memory is None else act(obs, key, memory)
+
     limit, number = task.max_steps, config_id.shape[0]
     shared = (0, 0, None)
     reset, observe = jax.vmap(task.reset, shared), jax.vmap(task.observe, shared)
     start = reset(keys, take_configs(world.table, config_id), world.params)
     first = jax.vmap(jax.random.fold_in, (0, None))(keys, limit)  # steps fold in numbers below it
-    recording = _start_recording(task, act, start, jax.eval_shape(observe, first, start, world.params), keys)
+    memory = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (number, *leaf.shape)), first_memory)
+    obs = jax.eval_shape(observe, first, start, world.params)
+    actions, _ = jax.eval_shape(jax.vmap(act_once), obs, keys, memory)
+    recording = _start_recording(task, start, actions)
     running = start_episodes(config_id, task.metrics)
     nothing = {name: jnp.zeros(number) for name in task.metrics}
     none = jnp.zeros(number, bool)
@@ -142,13 +154,13 @@ def run_episodes(
         return (time < limit) & ~jnp.all(done)
 
     def step(carry: tuple) -> tuple:
-        time, state, key_obs, running, done, success, metrics, recording = carry
+        time, state, key_obs, running, done, success, metrics, memory, recording = carry
         # Here alone, and not before the loop, too: images are most of the program.
         obs = observe(key_obs, state, world.params)
         now = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, time)
         # The action's draws are those of `now`; the task's are of keys of their own.
         of_task = jax.vmap(lambda key: jax.random.split(key, 2), out_axes=1)(now)
-        actions = jax.vmap(act)(obs, now)
+        actions, memory = jax.vmap(act_once)(obs, now, memory)
         after = jax.vmap(task.step, (0, 0, 0, None))(of_task[1], state, actions, world.params)
         further, episodes = step_episodes(running, after, task.metrics)
         state, running, success, metrics = reset_where(
@@ -164,10 +176,10 @@ def run_episodes(
                 taken.at[time].set(jnp.where(mask, 0, actions)),
             )
         done = done | episodes.outcomes.done
-        return time + 1, state, of_task[0], running, done, success, metrics, recording
+        return time + 1, state, of_task[0], running, done, success, metrics, memory, recording
 
-    time, state, _, running, _, success, metrics, recording = jax.lax.while_loop(
-        are_running, step, (jnp.int32(0), start, first, running, none, none, nothing, recording)
+    time, state, _, running, _, success, metrics, _, recording = jax.lax.while_loop(
+        are_running, step, (jnp.int32(0), start, first, running, none, none, nothing, memory, recording)
     )
     poses = taken = None
     if recording is not None:
@@ -177,16 +189,17 @@ def run_episodes(
     return EvalResult(config_id, success, running.episode_return, running.length, metrics, poses, taken)
 
 
-def _start_recording(
-    task: Task, act: Callable[[Any, jax.Array], jax.Array], start: Any, obs: Any, keys: jax.Array
-) -> tuple[jax.Array, jax.Array] | None:
-    """Poses (T + 1, E, 7), the first of them filled in, and actions (T, E, …), none taken yet."""
+def _start_recording(task: Task, start: Any, actions: Any) -> tuple[jax.Array, jax.Array] | None:
+    """Poses (T + 1, E, 7), the first of them filled in, and actions (T, E, …), none taken yet.
+
+    Args:
+        actions: (E, …), their shape and type.
+    """
     pose = jax.vmap(task.pose)(start)
     if pose is None:
         return None
-    action = jax.eval_shape(jax.vmap(act), obs, keys)
     poses = jnp.zeros((task.max_steps + 1, *pose.shape), pose.dtype).at[0].set(pose)
-    return poses, jnp.zeros((task.max_steps, *action.shape), action.dtype)
+    return poses, jnp.zeros((task.max_steps, *actions.shape), actions.dtype)
 
 
 def success_by_config(config_id: np.ndarray, success: np.ndarray, num_configs: int) -> np.ndarray:

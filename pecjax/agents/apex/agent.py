@@ -121,12 +121,12 @@ def make(task: Task, sampler: Sampler, settings: Apex, axis_name: str | None = N
                 q = action_values(network, learner.params, seen)
                 return q, double_value(q, action_values(network, learner.target, seen))
 
-            def act(seen: Seen, uniform: jax.Array) -> tuple[jax.Array, tuple]:
+            def act(seen: Seen, uniform: jax.Array) -> tuple[jax.Array, None, tuple]:
                 packed = pack(space, seen.obs)
                 q, ahead = values(packed)
                 action = explore(q, exploration(settings, env_ids), uniform)
                 taken = jnp.take_along_axis(q, action[..., None], axis=-1)[..., 0]
-                return action, (packed, taken, ahead)
+                return action, None, (packed, taken, ahead)
 
             envs, trajectory, episodes = rollout(
                 task,

@@ -12,7 +12,7 @@ from pecjax.agents.base import Agent, TrainState
 from pecjax.agents.distributions import make_distribution
 from pecjax.agents.episodes import sum_over_episodes
 from pecjax.agents.metrics import Metrics, are_finite, summarize
-from pecjax.agents.networks import ActorCritic, decide, forward
+from pecjax.agents.networks import ActorCritic, decide, forward_in_time
 from pecjax.agents.observations import encode, flatten, image_shapes, in_order
 from pecjax.agents.ppo.settings import PPO
 from pecjax.agents.ppo.signals import step_signal
@@ -55,16 +55,19 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
     network = make_network(task, settings)
     optimizer = make_optimizer(settings)
 
-    def features_of(seen: Seen) -> tuple[jax.Array, jax.Array | None]:
-        """The actor's, and the critic's where it has its own."""
-        return encode(space, seen.obs), critic_features(task, seen) if network.is_privileged else None
+    first_memory = settings.network.first_memory()
+
+    def read(seen: Seen) -> tuple[jax.Array, jax.Array | None, jax.Array | None]:
+        """The actor's features, the critic's where it has its own, and the memory where there is one."""
+        known = critic_features(task, seen) if network.is_privileged else None
+        return encode(space, seen.obs), known, seen.memory
 
     def init(key: jax.Array, world: World, numbers: Mapping[str, jax.Array] | None = None) -> TrainState:
         key, key_params, key_envs = jax.random.split(key, 3)
         sampler_state = sampler.init(**(numbers or {}))
-        envs = init_rollout(task, world, sampler, sampler_state, key_envs, settings.num_envs)
-        features, known = features_of(see(task, world, envs.state, envs.obs))
-        params = network.init(key_params, features[:1], None if known is None else known[:1])
+        envs = init_rollout(task, world, sampler, sampler_state, key_envs, settings.num_envs, first_memory)
+        features, known, memory = jax.tree.map(lambda leaf: leaf[:1], read(see(task, world, envs)))
+        params = network.init(key_params, features, known, memory=memory)
         kl_coeff = jnp.asarray(settings.kl_coeff or 0.0, jnp.float32)
         learner = Learner(params, optimizer.init(params), kl_coeff)
         counts = jnp.zeros((2, num_configs(world.table)), jnp.int32)
@@ -74,29 +77,30 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
         learner = state.learner
         key, key_rollout, key_update = jax.random.split(state.key, 3)
 
-        def act(seen: Seen, noise: jax.Array) -> tuple[jax.Array, tuple[jax.Array | None, ...]]:
-            features, known = features_of(seen)
-            params, value = forward(network, learner.params, features, known)
+        def act(seen: Seen, noise: jax.Array) -> tuple[jax.Array, jax.Array | None, tuple]:
+            features, known, memory = read(seen)
+            params, value, after = forward_in_time(network, learner.params, features, known, memory=memory)
             drawn = distribution.draw(params, noise)
             if settings.network.precision == "bfloat16":
                 features = features.astype(jnp.bfloat16)  # as the products take them
-            return distribution.action(drawn), (features, known, drawn, params, value)
+            return distribution.action(drawn), after, (features, known, memory, drawn, params, value)
 
         def value(seen: Seen) -> jax.Array:
-            return forward(network, learner.params, *features_of(seen))[1]
+            features, known, memory = read(seen)
+            return forward_in_time(network, learner.params, features, known, memory=memory).value
 
         envs, trajectory, episodes = rollout(
             task,
             world,
             sampler,
             state.sampler,
-            Policy(distribution.noise, act, value),
+            Policy(distribution.noise, act, value, first_memory),
             state.envs,
             key_rollout,
             global_ids(state.envs.running.length.shape[0], axis_name),
             settings.num_steps,
         )
-        last_value = value(see(task, world, envs.state, envs.obs))
+        last_value = value(see(task, world, envs))
         batch = prepare(settings, distribution, trajectory, last_value, axis_name)
         learner, losses = update(
             network, distribution, optimizer, settings, learner, batch, key_update, axis_name
@@ -113,12 +117,17 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
         return TrainState(learner, sampler_state, counts, envs, key), metrics
 
     def policy(learner: Learner, greedy: bool = False):
-        def act(obs: Any, key: jax.Array) -> jax.Array:
-            params = decide(network, learner.params, encode(space, obs))
-            if greedy:
-                return distribution.action(distribution.mode(params))
-            return distribution.action(distribution.draw(params, distribution.noise(key)))
+        def act(obs: Any, key: jax.Array, memory: jax.Array | None = None) -> Any:
+            out = decide(network, learner.params, encode(space, obs), memory)
+            drawn = (
+                distribution.mode(out.params)
+                if greedy
+                else distribution.draw(out.params, distribution.noise(key))
+            )
+            action = distribution.action(drawn)
+            return action if first_memory is None else (action, out.memory)
 
         return act
 
-    return Agent(init, iterate, policy, settings.num_envs * settings.num_steps)
+    batch = settings.num_envs * settings.num_steps
+    return Agent(init, iterate, policy, batch, first_memory=first_memory)

@@ -25,7 +25,8 @@ class PPO(AgentSettings):
         shuffle: what a minibatch is drawn from, once an iteration: `steps` takes whole time steps of all
             environments and copies nothing between devices; `samples` shuffles all samples and drops the
             remainder. Epochs then only change the minibatches' order (RLlib 0.8.5,
-            `optimizers/multi_gpu_optimizer.py`).
+            `optimizers/multi_gpu_optimizer.py`). A network with a memory learns from sequences: a
+            minibatch then has all steps of some environments.
         learning_rate, adam_eps, max_grad_norm: of Adam, with an optional bound on the gradient.
         discount, gae_lambda: γ and λ.
         clip_epsilon: ε of the clipped surrogate.
@@ -38,6 +39,8 @@ class PPO(AgentSettings):
             episode's steps of the advantage where it is positive, of its absolute value, of how far it is
             negative, of how far it is negative with the best in between kept, or of the value.
         network: settings of actor and critic.
+        sequence_length: steps of a sequence, at whose beginning the memory is taken as it was in flight;
+            None for all `num_steps`.
     """
 
     num_epochs: int = 2
@@ -57,11 +60,29 @@ class PPO(AgentSettings):
     reward_scale: float = 1e-3
     signal: Signal = "positive_value_loss"
     network: NetworkSettings = field(default_factory=NetworkSettings)
+    sequence_length: int | None = None
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether the network has a memory, and learns from sequences."""
+        return self.network.memory != "none"
+
+    @property
+    def steps_of_a_sequence(self) -> int:
+        """L, of `sequence_length`."""
+        return self.sequence_length or self.num_steps
 
     @property
     def rows(self) -> int:
-        """What a minibatch is drawn from: how many time steps, or samples."""
+        """What a minibatch is drawn from: how many environments, time steps, or samples."""
+        if self.has_memory:
+            return self.num_envs
         return self.num_steps * (self.num_envs if self.shuffle == "samples" else 1)
+
+    @property
+    def device_divisor(self) -> int:
+        """What the number of devices must divide: the environments, those of a minibatch with a memory."""
+        return self.num_envs // self.num_minibatches if self.has_memory else self.num_envs
 
     @property
     def observations_held(self) -> int:
@@ -82,8 +103,15 @@ class PPO(AgentSettings):
         """Raises InputError where the batch cannot be cut into the minibatches."""
         if min(self.num_envs, self.num_steps, self.num_epochs, self.num_minibatches) < 1:
             raise InputError("environments, steps, epochs and minibatches must each be 1 or more")
-        uneven = self.shuffle == "steps" and self.rows % self.num_minibatches
-        if self.num_minibatches > self.rows or uneven:
+        if self.has_memory and self.shuffle == "samples":
+            raise InputError("a network with a memory learns from sequences; leave shuffle at 'steps'")
+        if self.num_steps % self.steps_of_a_sequence:
             raise InputError(
-                f"{self.num_minibatches} minibatches do not divide {self.rows} {self.shuffle}; change either"
+                f"sequences of {self.sequence_length} do not divide {self.num_steps} steps; change either"
+            )
+        may_be_uneven = self.shuffle == "samples"
+        if self.num_minibatches > self.rows or (self.rows % self.num_minibatches and not may_be_uneven):
+            of = "environments" if self.has_memory else self.shuffle
+            raise InputError(
+                f"{self.num_minibatches} minibatches do not divide {self.rows} {of}; change either"
             )

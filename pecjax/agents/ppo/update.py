@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import optax
 
 from pecjax.agents.distributions import Distribution
-from pecjax.agents.networks import ActorCritic, forward
+from pecjax.agents.networks import ActorCritic, forward_in_time
+from pecjax.agents.ppo.minibatches import cut
 from pecjax.agents.ppo.settings import PPO
 from pecjax.agents.returns import generalized_advantage, with_bootstrap
 from pecjax.agents.rollout import Trajectory
@@ -36,6 +37,8 @@ class Batch(NamedTuple):
         log_prob: of what was drawn.
         value, target: as it was predicted, and as it should have been.
         advantage: of the action.
+        memory: before the step, of a network that has one, else None; as is
+        starts: 1 where the step is an episode's first.
     """
 
     features: jax.Array
@@ -47,6 +50,8 @@ class Batch(NamedTuple):
     value: jax.Array
     advantage: jax.Array
     target: jax.Array
+    memory: jax.Array | None = None
+    starts: jax.Array | None = None
 
 
 def make_optimizer(settings: PPO) -> optax.GradientTransformation:
@@ -65,7 +70,7 @@ def prepare(
     axis_name: str | None,
 ) -> Batch:
     """Advantages, standardised over the whole batch, and value targets; leaves (T, B, …)."""
-    features, known, drawn, params, value = trajectory.extras
+    features, known, memory, drawn, params, value = trajectory.extras
     advantage = generalized_advantage(
         scaled_reward(settings, trajectory),
         value,
@@ -79,7 +84,9 @@ def prepare(
     deviation = jnp.sqrt(device_mean(jnp.square(advantage - mean).mean(), axis_name))
     advantage = (advantage - mean) / jnp.maximum(1e-4, deviation)
     log_prob = distribution.log_prob(params, drawn)
-    return Batch(features, known, None, drawn, params, log_prob, value, advantage, target)
+    done = trajectory.done
+    starts = None if memory is None else jnp.concatenate([jnp.zeros_like(done[:1]), done[:-1]])
+    return Batch(features, known, None, drawn, params, log_prob, value, advantage, target, memory, starts)
 
 
 def scaled_reward(settings: PPO, trajectory: Trajectory) -> jax.Array:
@@ -107,7 +114,13 @@ def loss(
     ρ − 1 − log ρ, which has the same mean and is never negative (Schulman 2020, "Approximating KL
     divergence").
     """
-    new, value = forward(network, params, batch.features, batch.known, batch.columns)
+    memory, starts = batch.memory, batch.starts
+    if memory is not None and starts is not None:  # sequences, step by step: what each began with
+        starts = starts.reshape(settings.steps_of_a_sequence, -1)
+        memory, starts = memory[: starts.shape[1]], starts.at[0].set(0.0)
+    new, value, _ = forward_in_time(
+        network, params, batch.features, batch.known, batch.columns, memory, starts
+    )
     log_ratio = distribution.log_prob(new, batch.drawn) - batch.log_prob
     ratio = jnp.exp(log_ratio)
     clipped = jnp.clip(ratio, 1 - settings.clip_epsilon, 1 + settings.clip_epsilon)
@@ -140,15 +153,7 @@ def update(
     axis_name: str | None,
 ) -> tuple[Learner, dict[str, jax.Array]]:
     """All epochs over one batch, and the KL rule; returns the terms of the last epoch."""
-    if settings.shuffle == "samples":
-        if axis_name is not None:
-            batch = jax.lax.all_gather(batch, axis_name, axis=1, tiled=True)
-        batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), batch)
-    rows, order = shuffle(settings, key, batch.value.shape[0])
-    if settings.shuffle == "samples" and axis_name is not None:
-        rows = _own_share(rows, axis_name)
-    # Gathered once and not once an epoch: minibatches are the same in all of them.
-    minibatches = jax.tree.map(lambda leaf: _in_rows(settings, leaf[rows]), batch)
+    minibatches, order = cut(settings, key, batch, axis_name)
     if settings.network.precision == "bfloat16":
         minibatches = minibatches._replace(columns=jnp.swapaxes(minibatches.features, 1, 2))
 
@@ -169,33 +174,7 @@ def update(
     return Learner(params, optimizer_state, kl_coeff), terms
 
 
-def shuffle(settings: PPO, key: jax.Array, num_rows: int) -> tuple[jax.Array, jax.Array]:
-    """Row numbers (minibatches, rows of each), and the minibatches' numbers in the order of all epochs.
-
-    They are the same on every device.
-    """
-    number = settings.num_minibatches
-    size = num_rows // number
-    once, *keys = jax.random.split(key, settings.num_epochs + 1)
-    rows = jax.random.permutation(once, num_rows)[: number * size].reshape(number, size)
-    order = jax.vmap(lambda k: jax.random.permutation(k, number))(jnp.stack(keys))
-    return rows, order.reshape(-1)
-
-
-def _in_rows(settings: PPO, leaf: jax.Array) -> jax.Array:
-    """Minibatches (M, rows, …) of samples, of (M, steps, B, …) where whole time steps are drawn."""
-    return leaf if settings.shuffle == "samples" else leaf.reshape(leaf.shape[0], -1, *leaf.shape[3:])
-
-
 def adapt_kl_coeff(kl_coeff: jax.Array, kl: jax.Array, target: float) -> jax.Array:
     """RLlib 0.8.5's rule (`agents/ppo/ppo.py`, `update_kl`); a weight above 0 stays above it."""
     factor = jnp.where(kl > 2 * target, 1.5, jnp.where(kl < 0.5 * target, 0.5, 1.0))
     return jnp.maximum(kl_coeff * factor, jnp.minimum(kl_coeff, MIN_KL_COEFF))
-
-
-def _own_share(rows: jax.Array, axis_name: str) -> jax.Array:
-    """This device's part of the rows of each minibatch; all of them where they cannot be shared evenly."""
-    num_devices = jax.lax.axis_size(axis_name)
-    if rows.shape[1] % num_devices:
-        return rows
-    return rows.reshape(rows.shape[0], num_devices, -1)[:, jax.lax.axis_index(axis_name)]

@@ -1,0 +1,84 @@
+"""Memory: cells that carry numbers from step to step of an episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+
+Kind = Literal["none", "gru", "mingru"]
+Product = Callable[..., jax.Array] | None
+
+
+class Cell(nn.Module):
+    """Numbers h (B, H) that each step changes, and that an episode begins with as zeros.
+
+    `gru` is of Cho et al. (2014), with the reset gate behind the product as cuDNN and flax have it:
+
+        r = σ(W_r x + U_r h), z = σ(W_z x + U_z h), n = tanh(W_n x + r ⊙ (U_n h + b)),
+        h ← (1 - z) ⊙ n + z ⊙ h.
+
+    `mingru` (Feng et al. 2024, "Were RNNs All We Needed?") leaves U out, so that all products are taken for
+    all steps at once: h ← (1 - z) ⊙ tanh(W_n x) + z ⊙ h, with a tanh that theirs has not.
+
+    Attributes:
+        kind: `gru` or `mingru`.
+        size: H.
+        product: of its layers, in place of `jax.lax.dot_general`.
+    """
+
+    kind: Kind
+    size: int
+    product: Product = None
+
+    @nn.compact
+    def __call__(
+        self, x: jax.Array, memory: jax.Array, starts: jax.Array | None = None
+    ) -> tuple[jax.Array, jax.Array]:
+        """Goes through L steps.
+
+        Args:
+            x: (L, B, F).
+            memory: (B, H), before the first step.
+            starts: (L, B), 1 where a step is an episode's first; None for nowhere.
+
+        Returns:
+            The memory after each step, (L, B, H), and after the last.
+        """
+        gates = 3 if self.kind == "gru" else 2
+        read = nn.Dense(gates * self.size, name="read", dot_general=self.product)(x)
+        kept = jnp.ones(x.shape[:2]) if starts is None else 1.0 - starts
+        recall = None
+        if self.kind == "gru":
+            init = nn.initializers.orthogonal()
+            recall = self.param("recall", _side_by_side(init, gates), (self.size, gates * self.size))
+            bias = self.param("recall_bias", nn.initializers.zeros, (self.size,))
+
+        def step(h: jax.Array, of_step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            read, kept = of_step
+            h = h * kept[:, None]
+            if recall is None:
+                gate, new = jnp.split(read, 2, axis=-1)
+            else:
+                reset, gate, new = jnp.split(read, 3, axis=-1)
+                of_reset, of_gate, of_new = jnp.split(h @ recall, 3, axis=-1)
+                gate, new = gate + of_gate, new + nn.sigmoid(reset + of_reset) * (of_new + bias)
+            share = nn.sigmoid(gate)
+            h = (1.0 - share) * jnp.tanh(new) + share * h
+            return h, h
+
+        memory, seen = jax.lax.scan(step, memory, (read, kept))
+        return seen, memory
+
+
+def _side_by_side(init: Callable[..., jax.Array], number: int) -> Callable[..., jax.Array]:
+    """Square kernels, each by the initializer, in one."""
+
+    def kernels(key: jax.Array, shape: tuple[int, int]) -> jax.Array:
+        keys = jax.random.split(key, number)
+        return jnp.concatenate([init(k, (shape[0], shape[1] // number)) for k in keys], axis=-1)
+
+    return kernels
