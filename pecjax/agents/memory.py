@@ -51,16 +51,15 @@ class Cell(nn.Module):
         gates = 3 if self.kind == "gru" else 2
         read = nn.Dense(gates * self.size, name="read", dot_general=self.product)(x)
         kept = jnp.ones(x.shape[:2]) if starts is None else 1.0 - starts
-        recall = None
-        if self.kind == "gru":
-            init = nn.initializers.orthogonal()
-            recall = self.param("recall", _side_by_side(init, gates), (self.size, gates * self.size))
-            bias = self.param("recall_bias", nn.initializers.zeros, (self.size,))
+        is_gru = self.kind == "gru"
+        square, zeros = _side_by_side(nn.initializers.orthogonal(), gates), nn.initializers.zeros
+        recall = self.param("recall", square, (self.size, gates * self.size)) if is_gru else None
+        bias = self.param("recall_bias", zeros, (self.size,)) if is_gru else None
 
         def step(h: jax.Array, of_step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             read, kept = of_step
             h = h * kept[:, None]
-            if recall is None:
+            if recall is None or bias is None:
                 gate, new = jnp.split(read, 2, axis=-1)
             else:
                 reset, gate, new = jnp.split(read, 3, axis=-1)

@@ -63,11 +63,17 @@ def normc(scale: float) -> Initializer:
 
 
 class Output(NamedTuple):
-    """What a network puts out: parameters of the action's distribution (N, P), value (N,), memory (B, H)."""
+    """What a network puts out.
+
+    Attributes:
+        params: (N, P), of the action's distribution.
+        value: (N,), None where the critic was not asked.
+        memory: (B, H) after the last step, None of a network without one.
+    """
 
     params: jax.Array
-    value: jax.Array | None
-    memory: jax.Array | None
+    value: Any
+    memory: Any
 
 
 class ActorCritic(nn.Module):
@@ -213,4 +219,4 @@ def decide(network: ActorCritic, params: Any, features: jax.Array, memory: jax.A
     rows, carried = features.reshape(-1, features.shape[-1]), memory.reshape(-1, memory.shape[-1])
     out = cast(Output, exact.apply(params, rows, memory=carried, with_value=False))
     batch = features.shape[:-1]
-    return Output(out.params.reshape(*batch, -1), None, cast(jax.Array, out.memory).reshape(memory.shape))
+    return Output(out.params.reshape(*batch, -1), None, out.memory.reshape(memory.shape))
