@@ -228,7 +228,7 @@ def test_a_turn_that_a_sign_at_the_beginning_tells(kind):
 def test_a_signal_that_is_asked_for_later(kind, delay):
     network = replace(REMEMBERS.network, memory=kind)
     settings = replace(REMEMBERS, num_envs=256, num_steps=delay + 1, network=network, discount=0.999)
-    assert learnt(Recall(delay), settings, iterations=400) >= 0.99
+    assert learnt(Recall(delay), settings, iterations=800) >= 0.99
 
 
 @pytest.mark.parametrize("task", [TMaze(), Recall(10)])
