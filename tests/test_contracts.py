@@ -38,6 +38,10 @@ class Boastful(Target):
         return jnp.ones(1)
 
 
+class Forgetful(Target):
+    privileged_space = Box((2,))
+
+
 class Named(Target):
     observation_space: ClassVar = {"seen": Box((1,))}
 
@@ -61,6 +65,7 @@ def test_a_task_that_keeps_its_contract_passes(task):
     [
         (Blind(), r"test_contracts:Blind: observe is \(1,\) where observation_space says \(3,\)"),
         (Boastful(), r"Boastful: privileged is \(1,\) where privileged_space says \(2,\)"),
+        (Forgetful(), "Forgetful has a privileged_space; write `privileged`, too"),
         (Named(), r"observe is a tree .* where observation_space says .*'seen'"),
         (Pair(), "step gives tuple; give a Transition"),
         (Median(), r"metrics has \['median'\]; a metric is one of .*'mean'"),

@@ -16,7 +16,7 @@ from pecjax.training.build import everywhere
 @pytest.mark.parametrize("devices", [1, 4])
 def test_65536_environments_fit_a_gpu_and_stay_on_it(devices):
     task, world = Rooms().make()
-    settings = PPO(num_envs=65_536, num_steps=16)
+    settings = PPO(num_envs=65_536, num_steps=16, num_minibatches=8)
     mesh = device_mesh(devices)
     agent = shard(settings.make(task, pec(num_configs(world.table)), AXIS), mesh)
     state = jax.eval_shape(agent.init, jax.random.key(0), world)

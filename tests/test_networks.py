@@ -40,7 +40,7 @@ def features(*batch: int, height: int = 12, width: int = 16, seed: int = 0):
 def made(settings: NetworkSettings, height: int = 12, width: int = 16):
     network = ActorCritic(settings, ACTIONS, image_shapes(space(height, width)))
     params = jax.jit(network.init)(jax.random.key(0), features(1, height=height, width=width))
-    return network, params, jax.jit(lambda params, obs: forward(network, params, obs))
+    return network, params, jax.jit(lambda params, obs: forward(network, params, obs)[:2])
 
 
 @pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
@@ -113,7 +113,7 @@ def test_actor_and_critic_share_no_parameter(settings, height, width):
     @jax.jit
     def gradients(params):
         """Of a function of the logits, and of one of the value."""
-        outputs, pull_back = jax.vjp(lambda p: forward(network, p, obs), params)
+        outputs, pull_back = jax.vjp(lambda p: forward(network, p, obs)[:2], params)
         logits, value = jax.tree.map(jnp.cos, outputs)
         return pull_back((logits, 0 * value)), pull_back((0 * logits, value))
 
@@ -190,10 +190,10 @@ def test_a_privileged_critic_reads_what_it_knows_and_the_actor_does_not(settings
     rows, others = (features(3, height=48, width=64, seed=seed) for seed in (0, 1))
     known = jnp.asarray(np.random.default_rng(2).normal(size=(3, 7)), jnp.float32)
     params = network.init(jax.random.key(0), rows[:1], known[:1])
-    logits, value = forward(network, params, rows, known)
+    logits, value, _ = forward(network, params, rows, known)
     assert logits.shape == (3, ACTIONS) and value.shape == (3,)
-    of_others, same_value = forward(network, params, others, known)
-    same_logits, other_value = forward(network, params, rows, -known)
+    of_others, same_value, _ = forward(network, params, others, known)
+    same_logits, other_value, _ = forward(network, params, rows, -known)
     np.testing.assert_array_equal(same_value, value)
     np.testing.assert_array_equal(same_logits, logits)
     assert np.abs(of_others - logits).min(axis=0).max() > 0 and np.abs(other_value - value).min() > 0
@@ -239,7 +239,7 @@ def test_several_images_of_any_depth_each_pass_convolutions_of_their_own():
     obs = some_of_many(3)
     rows = encode(MANY, obs)
     params = jax.jit(network.init)(jax.random.key(0), rows)
-    logits, value = forward(network, params, rows)
+    logits, value, _ = forward(network, params, rows)
     assert logits.shape == (3, ACTIONS) and value.shape == (3,)
     convolutions = params["params"]["actor_convolutions"]
     # Three layers of each image, the first over 4×4 pixels of its own channels.
@@ -250,7 +250,7 @@ def test_several_images_of_any_depth_each_pass_convolutions_of_their_own():
     for place in range(5):
         leaves, tree = jax.tree.flatten(obs)
         leaves[place] = leaves[place] + 0.5
-        other, _ = forward(network, params, encode(MANY, jax.tree.unflatten(tree, leaves)))
+        other, _, _ = forward(network, params, encode(MANY, jax.tree.unflatten(tree, leaves)))
         assert np.abs(other - logits).max() > 1e-6
 
 

@@ -66,8 +66,8 @@ class Output(NamedTuple):
     """What a network puts out.
 
     Attributes:
-        params: (N, P), of the action's distribution.
-        value: (N,), None where the critic was not asked.
+        params: (…, P), of the action's distribution.
+        value: (…,), None where the critic was not asked.
         memory: (B, H) after the last step, None of a network without one.
     """
 
@@ -100,7 +100,7 @@ class ActorCritic(nn.Module):
         starts: jax.Array | None = None,
         with_value: bool = True,
     ) -> Output:
-        """See `forward_in_time`, which is this with the parameters given.
+        """See `forward`, which is this with the parameters given.
 
         Args:
             with_value: whether the critic is asked, too.
@@ -119,8 +119,9 @@ class ActorCritic(nn.Module):
                 critic = nn.tanh(self._first("critic", read, transposed))
         if memory is not None:
             cell = Cell(settings.memory, settings.memory_size, _product(settings), name="memory")
-            in_time = actor.reshape(-1, memory.shape[0], actor.shape[-1])
-            seen, memory = cell(in_time, memory, starts)
+            in_time = (-1, memory.shape[0])
+            begins = None if starts is None else starts.reshape(in_time)
+            seen, memory = cell(actor.reshape(*in_time, actor.shape[-1]), memory, begins)
             seen = seen.reshape(actor.shape[0], -1)
             actor = jnp.concatenate([actor, seen], axis=-1)
             if critic is not None and known is None:
@@ -178,30 +179,18 @@ def forward(
     features: jax.Array,
     known: jax.Array | None = None,
     columns: jax.Array | None = None,
-) -> tuple[jax.Array, jax.Array]:
-    """Parameters of the distribution (…, P) and values (…,) of a network without a memory.
-
-    Args:
-        known: (…, K), the critic's features, where it has its own.
-        columns: the features (N, F) transposed in memory, (F, N), see `bfloat16_product`.
-    """
-    return forward_in_time(network, params, features, known, columns)[:2]
-
-
-def forward_in_time(
-    network: ActorCritic,
-    params: Any,
-    features: jax.Array,
-    known: jax.Array | None = None,
-    columns: jax.Array | None = None,
     memory: jax.Array | None = None,
     starts: jax.Array | None = None,
 ) -> Output:
-    """The same of any network: features (N, F) are of L steps of B environments, step by step, N = L B.
+    """What the network puts out under the given parameters.
 
     Args:
+        features: (…, F). With a memory (N, F), the rows of B environments' first step, of their second, and
+            so on.
+        known: (…, K), the critic's features, where it has its own.
+        columns: the features (N, F) transposed in memory, (F, N), see `bfloat16_product`.
         memory: (B, H), before the first step; None of a network without one.
-        starts: (L, B), 1 where a step is an episode's first; None for nowhere.
+        starts: (N,), 1 where a step is an episode's first; None for nowhere.
     """
     return cast(Output, network.apply(params, features, known, columns, memory, starts))
 

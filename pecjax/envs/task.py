@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pecjax.envs.spaces import Box, Discrete
+from pecjax.errors import InputError
 
 Reduction = Literal["last", "sum", "mean", "min", "max"]
 
@@ -111,7 +112,7 @@ class Task(abc.ABC):
         image-based robot learning").
         """
         # Not abstract, as most tasks tell critics nothing: it is called only with a `privileged_space`.
-        raise NotImplementedError(f"{type(self).__name__} has a privileged_space, but not `privileged`")
+        raise InputError(f"{type(self).__name__} has a privileged_space; write `privileged`, too")
 
     def fitted(self, table: Any) -> Any:
         """A table of other configurations as this task flies it.

@@ -130,7 +130,7 @@ def run_episodes(
     """Runs one episode per key (E,) and configuration (E,), all side by side, until the last has ended.
 
     Args:
-        act, first_memory: see `Agent.policy`.
+        act, first_memory: see `Agent`.
     """
 
     def act_once(obs: Any, key: jax.Array, memory: Any) -> tuple[jax.Array, Any]:

@@ -34,7 +34,10 @@ class Trained(NamedTuple):
     learner: Any
 
     def policy(self, greedy: bool = True) -> Callable[[Any, Any], Any]:
-        """act(obs, key) -> action for a single observation of `run.task`; it can be jitted."""
+        """act(obs, key) -> action for a single observation of `run.task`; it can be jitted.
+
+        With a memory it is act(obs, key, memory) -> (action, memory), from `run.agent.first_memory` on.
+        """
         return self.run.agent.policy(self.learner, greedy)
 
     def elsewhere(self, world: World, eval_set: EvalSet) -> Trained:

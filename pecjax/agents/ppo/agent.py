@@ -12,7 +12,7 @@ from pecjax.agents.base import Agent, TrainState
 from pecjax.agents.distributions import make_distribution
 from pecjax.agents.episodes import sum_over_episodes
 from pecjax.agents.metrics import Metrics, are_finite, summarize
-from pecjax.agents.networks import ActorCritic, decide, forward_in_time
+from pecjax.agents.networks import ActorCritic, decide, forward
 from pecjax.agents.observations import encode, flatten, image_shapes, in_order
 from pecjax.agents.ppo.settings import PPO
 from pecjax.agents.ppo.signals import step_signal
@@ -79,7 +79,7 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
 
         def act(seen: Seen, noise: jax.Array) -> tuple[jax.Array, jax.Array | None, tuple]:
             features, known, memory = read(seen)
-            params, value, after = forward_in_time(network, learner.params, features, known, memory=memory)
+            params, value, after = forward(network, learner.params, features, known, memory=memory)
             drawn = distribution.draw(params, noise)
             if settings.network.precision == "bfloat16":
                 features = features.astype(jnp.bfloat16)  # as the products take them
@@ -87,7 +87,7 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
 
         def value(seen: Seen) -> jax.Array:
             features, known, memory = read(seen)
-            return forward_in_time(network, learner.params, features, known, memory=memory).value
+            return forward(network, learner.params, features, known, memory=memory).value
 
         envs, trajectory, episodes = rollout(
             task,

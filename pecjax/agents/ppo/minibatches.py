@@ -77,9 +77,9 @@ def _in_rows(settings: PPO, leaf: jax.Array) -> jax.Array:
 
 def _in_sequences(settings: PPO, leaf: jax.Array, envs: jax.Array) -> jax.Array:
     """Of (T, B, …) the minibatches (M, L × sequences, …): each environment's T steps cut into sequences."""
-    length = settings.steps_of_a_sequence
-    # (T/L, L, M, envs, …) -> (M, L, T/L, envs, …)
-    cut = leaf.reshape(-1, length, *leaf.shape[1:])[:, :, envs]
+    sequences = settings.num_steps // settings.steps_of_a_sequence  # of each environment
+    # (T/L, L, M, envs, …) -> (M, L, T/L, envs, …), where the memory has one step of each sequence
+    cut = leaf.reshape(sequences, -1, *leaf.shape[1:])[:, :, envs]
     return jnp.moveaxis(cut, (2, 1), (0, 1)).reshape(envs.shape[0], -1, *leaf.shape[2:])
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import optax
 
 from pecjax.agents.distributions import Distribution
-from pecjax.agents.networks import ActorCritic, forward_in_time
+from pecjax.agents.networks import ActorCritic, forward
 from pecjax.agents.ppo.minibatches import cut
 from pecjax.agents.ppo.settings import PPO
 from pecjax.agents.returns import generalized_advantage, with_bootstrap
@@ -28,7 +28,7 @@ class Learner(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """What the loss is taken over, every leaf with the same leading axes.
+    """What the loss is taken over; leaves have the same leading axes, but for the memory.
 
     Attributes:
         features, known: of the observation, and the critic's own where it has any, else None.
@@ -37,8 +37,8 @@ class Batch(NamedTuple):
         log_prob: of what was drawn.
         value, target: as it was predicted, and as it should have been.
         advantage: of the action.
-        memory: before the step, of a network that has one, else None; as is
-        starts: 1 where the step is an episode's first.
+        memory: before each sequence, (T / L, B, H); None of a network without one.
+        starts: 1 where the step is an episode's first; None likewise.
     """
 
     features: jax.Array
@@ -84,8 +84,11 @@ def prepare(
     deviation = jnp.sqrt(device_mean(jnp.square(advantage - mean).mean(), axis_name))
     advantage = (advantage - mean) / jnp.maximum(1e-4, deviation)
     log_prob = distribution.log_prob(params, drawn)
-    done = trajectory.done
-    starts = None if memory is None else jnp.concatenate([jnp.zeros_like(done[:1]), done[:-1]])
+    starts = None
+    if memory is not None:
+        done = trajectory.done
+        starts = jnp.concatenate([jnp.zeros_like(done[:1]), done[:-1]])
+        memory = memory[:: settings.steps_of_a_sequence]
     return Batch(features, known, None, drawn, params, log_prob, value, advantage, target, memory, starts)
 
 
@@ -114,12 +117,8 @@ def loss(
     ρ − 1 − log ρ, which has the same mean and is never negative (Schulman 2020, "Approximating KL
     divergence").
     """
-    memory, starts = batch.memory, batch.starts
-    if memory is not None and starts is not None:  # sequences, step by step: what each began with
-        starts = starts.reshape(settings.steps_of_a_sequence, -1)
-        memory, starts = memory[: starts.shape[1]], starts.at[0].set(0.0)
-    new, value, _ = forward_in_time(
-        network, params, batch.features, batch.known, batch.columns, memory, starts
+    new, value, _ = forward(
+        network, params, batch.features, batch.known, batch.columns, batch.memory, batch.starts
     )
     log_ratio = distribution.log_prob(new, batch.drawn) - batch.log_prob
     ratio = jnp.exp(log_ratio)
