@@ -97,7 +97,13 @@ RUNS = {
     "mingru": pecjax.RunSettings(
         task=Odd(), agent=PPO(network=NetworkSettings("cnn", hidden=(8, 6), memory="mingru"))
     ),
+    "stack": pecjax.RunSettings(
+        agent=PPO(network=NetworkSettings(hidden=(8, 6), memory="stack", memory_size=5, memory_stride=2))
+    ),
 }
+
+
+REMEMBER = ("gru", "mingru", "stack")
 
 
 def make_run(folder, settings, gain=1):
@@ -180,7 +186,7 @@ def test_onnxruntime_and_a_fresh_jax_agree_with_the_policy(name, runs, by_jax):
     size = np.abs(values).max()
     assert np.abs(outputs[session.get_outputs()[0].name] - values).max() <= 1e-5 * size
     ours, *our_memory = our_actions(run, inputs)
-    assert len(after) == len(our_memory) == name.endswith("gru")
+    assert len(after) == len(our_memory) == (name in REMEMBER)
     for found, wanted in zip(after, our_memory, strict=True):
         np.testing.assert_allclose(found, wanted, atol=1e-5)
         np.testing.assert_allclose(outputs["memory_after"], wanted, atol=1e-5)

@@ -12,7 +12,7 @@ from memory_tasks import Recall, TMaze
 from probe_tasks import WORLD
 
 from pecjax.agents import AXIS, PPO, device_mesh, shard
-from pecjax.agents.memory import Cell
+from pecjax.agents.memory import Cell, Stack
 from pecjax.agents.networks import ActorCritic, NetworkSettings, decide, forward
 from pecjax.agents.ppo import minibatches
 from pecjax.curriculum import uniform
@@ -21,6 +21,7 @@ from pecjax.training.evaluation import make_episode_runner, stratified_config_id
 
 STEPS, ENVS, FEATURES, SIZE = 7, 5, 4, 6
 KINDS = ("gru", "mingru")
+WINDOW, STRIDE = 4, 2
 
 
 def cell(kind, seed=0):
@@ -69,6 +70,24 @@ def test_the_mingru_is_its_equation():
         np.testing.assert_allclose(seen[time], h, atol=1e-6)
 
 
+def test_a_stack_is_what_earlier_steps_gave_in_the_same_episode():
+    x, _, starts = map(np.asarray, inputs())
+    earlier = np.random.default_rng(3).normal(0, 1, (WINDOW, ENVS, FEATURES)).astype(np.float32)
+    seen, last = Stack(STRIDE).apply({}, x, earlier.transpose(1, 0, 2).reshape(ENVS, -1), starts)
+    seen = np.asarray(seen).reshape(STEPS, ENVS, WINDOW // STRIDE, FEATURES)
+    for env in range(ENVS):
+        episode = [*earlier[:, env]]  # what it gave so far
+        for time in range(STEPS):
+            episode = [] if starts[time, env] else episode
+            for tap in range(WINDOW // STRIDE):
+                by = STRIDE * (tap + 1)
+                wanted = episode[-by] if by <= len(episode) else np.zeros(FEATURES)
+                np.testing.assert_array_equal(seen[time, env, tap], wanted)
+            episode.append(x[time, env])
+        kept = [np.zeros(FEATURES)] * WINDOW + episode
+        np.testing.assert_array_equal(last[env].reshape(WINDOW, FEATURES), kept[-WINDOW:])
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_gradients_through_the_carry_are_those_of_finite_differences(kind):
     ours, params = cell(kind)
@@ -97,11 +116,12 @@ def test_nothing_passes_the_beginning_of_an_episode(kind):
 
 
 @pytest.mark.parametrize("is_privileged", [False, True])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, "stack"])
 def test_steps_one_by_one_are_those_of_the_sequence(kind, is_privileged):
     settings = NetworkSettings(hidden=(8, 8), precision="float32", memory=kind, memory_size=SIZE)
     network = ActorCritic(settings, 3, (), is_privileged)
     x, h, starts = inputs()
+    h = jnp.resize(h, (ENVS, settings.first_memory().size))
     known = x[..., :2] if is_privileged else None
     params = network.init(jax.random.key(0), x[0], None if known is None else known[0], memory=h)
 
@@ -232,6 +252,14 @@ def test_a_signal_that_is_asked_for_later(kind, delay, iterations):
     assert learnt(Recall(delay), settings, iterations) >= 0.99
 
 
+def test_a_stack_that_goes_back_far_enough_finds_the_signal():
+    network = replace(REMEMBERS.network, memory="stack", memory_size=10, memory_stride=5)
+    settings = replace(REMEMBERS, num_envs=128, network=network)
+    assert learnt(Recall(10), settings, iterations=100) >= 0.99
+    short = replace(settings, network=replace(network, memory_size=5))
+    assert abs(learnt(Recall(10), short, iterations=100) - 0.5) < 0.1
+
+
 @pytest.mark.parametrize("task", [TMaze(), Recall(10)])
 def test_without_memory_it_is_a_matter_of_chance(task):
     settings = replace(REMEMBERS, num_envs=128, network=replace(REMEMBERS.network, memory="none"))
@@ -243,6 +271,10 @@ def test_settings_that_do_not_fit_are_refused():
         ({"shuffle": "samples"}, "learns from sequences"),
         ({"sequence_length": 3}, "sequences of 3 do not divide 8 steps"),
         ({"num_minibatches": 5}, "5 minibatches do not divide 32 environments"),
+        (
+            {"network": NetworkSettings(memory="stack", memory_size=2)},
+            "memory-stride is 4; give 1 to memory-size, 2",
+        ),
     ):
         with pytest.raises(InputError, match=words):
             replace(REMEMBERS, **change).check()

@@ -9,7 +9,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
-Kind = Literal["none", "gru", "mingru"]
+Kind = Literal["none", "gru", "mingru", "stack"]
 Product = Callable[..., jax.Array] | None
 
 
@@ -71,6 +71,38 @@ class Cell(nn.Module):
 
         memory, seen = jax.lax.scan(step, memory, (read, kept))
         return seen, memory
+
+
+class Stack(nn.Module):
+    """What the last W steps gave, x (B, F) each, of which every S-th is seen: those before zeros.
+
+    The memory is all of them side by side, (B, W F), the oldest first. It has no parameters.
+
+    Attributes:
+        stride: S.
+    """
+
+    stride: int
+
+    def __call__(
+        self, x: jax.Array, memory: jax.Array, starts: jax.Array | None = None
+    ) -> tuple[jax.Array, jax.Array]:
+        """Goes through L steps, as `Cell` does; what is seen is (L, B, (W // S) F)."""
+        steps, envs, width = x.shape
+        before = jnp.moveaxis(memory.reshape(envs, -1, width), 1, 0)
+        window = before.shape[0]
+        begun = jnp.zeros(x.shape[:2]) if starts is None else jnp.cumsum(starts, axis=0)
+        # Which episode each step is of, counted from the one that was under way.
+        episode = jnp.concatenate([jnp.zeros((window, envs)), begun])
+        all_of = jnp.concatenate([before, x])
+
+        def back(by: int) -> jax.Array:
+            there = slice(window - by, window - by + steps)
+            return all_of[there] * (episode[there] == begun)[..., None]
+
+        seen = [back(by) for by in range(self.stride, window + 1, self.stride)]
+        last = all_of[steps:] * (episode[steps:] == begun[-1])[..., None]
+        return jnp.concatenate(seen, axis=-1), jnp.moveaxis(last, 0, 1).reshape(envs, -1)
 
 
 def _side_by_side(init: Callable[..., jax.Array], number: int) -> Callable[..., jax.Array]:

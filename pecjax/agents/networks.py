@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pecjax.agents.convolutions import Convolutions
-from pecjax.agents.memory import Cell, Kind
+from pecjax.agents.memory import Cell, Kind, Stack
 from pecjax.agents.products import bfloat16_product
 
 
@@ -31,9 +31,11 @@ class NetworkSettings:
             `observation` where the task tells nothing.
         precision: of the operands of matrix products in training, whose sums are float32 in any case. What
             is evaluated, watched and exported computes in float32.
-        memory: what the network carries from step to step of an episode (see `memory.Cell`); its last hidden
-            layers read it beside the first layer.
-        memory_size: H, how many numbers that is.
+        memory: what the network carries from step to step of an episode: `gru` and `mingru` are of
+            `memory.Cell`, `stack` is `memory.Stack` of what the actor's first layer gave. The layers behind
+            the first read it beside that.
+        memory_size: how many numbers a cell carries, or how many steps a stack goes back.
+        memory_stride: of so many steps of a stack one is read.
     """
 
     encoder: Literal["mlp", "cnn"] = "mlp"
@@ -43,10 +45,13 @@ class NetworkSettings:
     precision: Literal["bfloat16", "float32"] = "bfloat16"
     memory: Kind = "none"
     memory_size: int = 64
+    memory_stride: int = 4
 
     def first_memory(self) -> jax.Array | None:
         """(H,), what an episode begins with; None without a memory."""
-        return None if self.memory == "none" else jnp.zeros(self.memory_size)
+        if self.memory == "none":
+            return None
+        return jnp.zeros(self.memory_size * (self.hidden[0] if self.memory == "stack" else 1))
 
 
 Initializer = Callable[..., jax.Array]
@@ -118,7 +123,11 @@ class ActorCritic(nn.Module):
                 read, transposed = (features, columns) if known is None else (known, None)
                 critic = nn.tanh(self._first("critic", read, transposed))
         if memory is not None:
-            cell = Cell(settings.memory, settings.memory_size, _product(settings), name="memory")
+            cell = (
+                Stack(settings.memory_stride, name="memory")
+                if settings.memory == "stack"
+                else Cell(settings.memory, settings.memory_size, _product(settings), name="memory")
+            )
             in_time = (-1, memory.shape[0])
             begins = None if starts is None else starts.reshape(in_time)
             seen, memory = cell(actor.reshape(*in_time, actor.shape[-1]), memory, begins)

@@ -101,7 +101,8 @@ def _actor(graph: Graph, policy: Policy, params: dict[str, Any]) -> str:
         x = graph.dense(_features(graph, policy), params["first"], slice(settings.hidden[0]))
     x = graph.add("Tanh", x)
     if policy.memory is not None:
-        x = graph.add("Concat", x, _remembered(graph, policy, x, params["memory"]), axis=1)
+        of_memory = _stacked if settings.memory == "stack" else _remembered
+        x = graph.add("Concat", x, of_memory(graph, policy, x, params.get("memory", {})), axis=1)
     for layer in range(1, len(settings.hidden)):
         x = graph.add("Tanh", graph.dense(x, params[f"actor_{layer}"]))
     return graph.dense(x, params["actor_output"])
@@ -121,6 +122,17 @@ def _remembered(graph: Graph, policy: Policy, x: str, params: dict[str, Any]) ->
     share, new = graph.add("Sigmoid", gate), graph.add("Tanh", new)
     kept = graph.add("Mul", share, graph.add("Sub", MEMORY, new))  # (1 - z) n + z h = n + z (h - n)
     return graph.add("Add", new, kept, name=MEMORY_AFTER)
+
+
+def _stacked(graph: Graph, policy: Policy, x: str, _: dict[str, Any]) -> str:
+    """What `memory.Stack` sees; its memory after the step has x in place of the oldest."""
+    settings = policy.network.settings
+    columns = np.arange(settings.memory_size * settings.hidden[0]).reshape(settings.memory_size, -1)
+    newer = graph.add("Gather", MEMORY, graph.weight(columns[1:].ravel(), np.int64), axis=1)
+    graph.add("Concat", newer, x, axis=1, name=MEMORY_AFTER)
+    back = np.arange(settings.memory_stride, settings.memory_size + 1, settings.memory_stride)
+    seen = columns[settings.memory_size - back]
+    return graph.add("Gather", MEMORY, graph.weight(seen.ravel(), np.int64), axis=1)
 
 
 def _parts(size: int, number: int) -> list[slice]:

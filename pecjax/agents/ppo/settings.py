@@ -105,6 +105,11 @@ class PPO(AgentSettings):
             raise InputError("environments, steps, epochs and minibatches must each be 1 or more")
         if self.has_memory and self.shuffle == "samples":
             raise InputError("a network with a memory learns from sequences; leave shuffle at 'steps'")
+        network = self.network
+        if network.memory == "stack" and not 1 <= network.memory_stride <= network.memory_size:
+            raise InputError(
+                f"memory-stride is {network.memory_stride}; give 1 to memory-size, {network.memory_size}"
+            )
         if self.num_steps % self.steps_of_a_sequence:
             raise InputError(
                 f"sequences of {self.sequence_length} do not divide {self.num_steps} steps; change either"
