@@ -55,7 +55,8 @@ class Halls(TaskSettings):
             map_id=np.arange(self.number),
         )
         vehicle = pecjax.load_scene().vehicle
-        return RoomsTask(vehicle, NavigationSettings(max_steps=300)), World(RoomsParams(bank), table)
+        task = RoomsTask(vehicle, NavigationSettings(max_steps=300), one_map=False)
+        return task, World(RoomsParams(bank), table)
 
 
 def main(iterations: int = 150, number: int = 2000) -> tuple[float, float]:

@@ -200,6 +200,13 @@ def test_one_map_is_kept_as_one_file(folder, tmp_path):
     jax.tree.map(np.testing.assert_array_equal, one.kept_in(tmp_path).make()[1], one.make()[1])
 
 
+def test_critics_are_told_of_the_drone_where_its_place_says_where_the_walls_are(folder, made):
+    """In several maps a place says nothing of walls, and critics see what the policy sees."""
+    task, _ = made
+    assert task.privileged_space is None
+    assert Rooms().make()[0].privileged_space is not None
+
+
 def refused(message, **changes):
     with pytest.raises(pecjax.InputError) as caught:
         Rooms(**changes).make()

@@ -28,7 +28,7 @@ class NetworkSettings:
             `normc` (unit-norm columns, 0.01 at both outputs, as in RLlib 0.8.5).
         critic: what the critic reads: `observation` is what the actor reads; `privileged` is what the task
             tells a critic of its state, with what of the observation is no image. It is the same as
-            `observation` where the task tells nothing.
+            `observation` where the task tells nothing, as the rooms do where there are several maps.
         precision: of the operands of matrix products in training, whose sums are float32 in any case. What
             is evaluated, watched and exported computes in float32.
         memory: what the network carries from step to step of an episode: `gru` and `mingru` are of

@@ -70,9 +70,14 @@ class Rooms(NavigationSettings, TaskSettings):
                 does not fit, or a configuration that cannot be flown.
         """
         table, scenes = self.configurations(), self.scenes()
-        task = self.task_kind(scenes[0].vehicle, self, objectives=table.objective is not None)
         maps = [scene.map for scene in scenes]
         bank = None if self._space is None else self._space.maps
+        task = self.task_kind(
+            scenes[0].vehicle,
+            self,
+            objectives=table.objective is not None,
+            one_map=len(maps if bank is None else bank.bounds) == 1,
+        )
         if self._space is None or (bank is None and self.maps):
             source = self.table if self._space is None else None
             try:

@@ -81,11 +81,14 @@ class RoomsTask(Task):
         settings: NavigationSettings = NavigationSettings(),
         *,
         objectives: bool = False,
+        one_map: bool = True,
     ) -> None:
         """Puts drone and rules together.
 
         Args:
             objectives: whether its configurations have that axis.
+            one_map: whether all its episodes share one map. Then the drone's place tells a critic where the
+                walls are, and it needs no image; otherwise critics are told nothing.
 
         Raises:
             InputError: a control period that is no multiple of the physics step, negative drag, or gusts
@@ -100,7 +103,7 @@ class RoomsTask(Task):
             "depth": Box((camera.height, camera.width), camera.near / camera.far, 1.0),
             "goal": Box((3,)),
         } | ({"objective": Box((len(OBJECTIVES),), 0.0, 1.0)} if objectives else {})
-        self.privileged_space = privileged.SPACE
+        self.privileged_space = privileged.SPACE if one_map else None
         self.action_space = Discrete(len(SPEEDS) * len(YAW_RATES))
         self.max_steps = settings.max_steps
 
