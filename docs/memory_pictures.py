@@ -1,0 +1,78 @@
+"""The picture of memory.md, from a table of all evaluations of its runs.
+
+python docs/memory_pictures.py                          # into docs/images/results
+python docs/memory_pictures.py --runs FOLDER            # the table first, from FOLDER/NETWORK-SEED
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from pecjax.plotting.style import COLORS, PAGE, STYLE
+
+HERE = Path(__file__).parent
+TABLE = HERE / "results" / "memory-floorplans.csv"
+# By the name of their runs' folders.
+NETWORKS = {"mlp": "no memory", "mingru": "minGRU"}
+BUDGET = 540  # s, that every run has had
+DPI = 200
+
+
+def collect(folder: Path) -> pd.DataFrame:
+    """Every evaluation of the runs in a folder, with the seconds spent until then."""
+    parts = []
+    for run in sorted(folder.glob("*-*/evaluation.csv")):
+        network, _, seed = run.parent.name.rpartition("-")
+        seconds = pd.read_csv(run.with_name("metrics.csv")).set_index("iteration").seconds
+        found = pd.read_csv(run)
+        found.insert(0, "seconds", found.iteration.map(seconds))
+        found.insert(0, "seed", int(seed))
+        found.insert(0, "network", network)
+        parts.append(found)
+    return pd.concat(parts, ignore_index=True)
+
+
+def ends(table: pd.DataFrame, last: int = 3) -> pd.DataFrame:
+    """The mean of each run's last evaluations within the budget, a row a seed and a column a network."""
+    of_run = table[table.seconds <= BUDGET].groupby(["seed", "network"]).goal_ratio
+    return of_run.apply(lambda ratios: ratios.tail(last).mean()).unstack()
+
+
+def curves(table: pd.DataFrame) -> Figure:
+    """Held-out goal ratio against steps, and against minutes: every run."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(PAGE, 2.6), layout="constrained")
+        panels = figure.subplots(1, 2, sharey=True)
+        for (network, label), color in zip(NETWORKS.items(), COLORS, strict=False):
+            for number, (_, run) in enumerate(table[table.network == network].groupby("seed")):
+                for axes, along in zip(panels, (run.env_steps / 1e6, run.seconds / 60), strict=True):
+                    axes.plot(along, run.goal_ratio, color=color, label=label if number == 0 else None)
+        for axes, name in zip(panels, ("million steps", "minutes of one core"), strict=True):
+            axes.set(xlabel=name, ylim=(0, 1), xlim=(0, None))
+            axes.set_yticks(np.linspace(0, 1, 6))
+            axes.grid()
+        panels[0].set_ylabel("goal ratio in plans held out")
+        panels[1].legend(loc="lower right")
+    return figure
+
+
+def main(words: list[str] | None = None) -> None:
+    """Draws it."""
+    parser = argparse.ArgumentParser(description="The picture of memory.md.")
+    parser.add_argument("--runs", type=Path)
+    parser.add_argument("--out", type=Path, default=HERE / "images" / "results")
+    given = parser.parse_args(words)
+    if given.runs is not None:
+        collect(given.runs).to_csv(TABLE, index=False)
+    with matplotlib.rc_context(STYLE):
+        curves(pd.read_csv(TABLE)).savefig(given.out / "memory-floorplans.png", dpi=DPI)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,42 @@
+"""docs/memory_pictures.py: what it draws and what the page says are the numbers of the stored table."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+DOCS = Path(__file__).parents[1] / "docs"
+SPEC = importlib.util.spec_from_file_location("memory_pictures", DOCS / "memory_pictures.py")
+pictures = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(pictures)
+
+
+def test_every_run_is_a_curve():
+    table = pd.read_csv(pictures.TABLE)
+    runs = [run for _, run in table.groupby(["network", "seed"])]
+    by_steps, by_minutes = pictures.curves(table).axes
+    for axes, column, unit in ((by_steps, "env_steps", 1e6), (by_minutes, "seconds", 60)):
+        assert len(axes.lines) == len(runs)
+        drawn = {tuple(np.round(line.get_xdata(), 6)): line.get_ydata() for line in axes.lines}
+        for run in runs:
+            np.testing.assert_array_equal(drawn[tuple(np.round(run[column] / unit, 6))], run.goal_ratio)
+
+
+def test_the_page_has_the_ends_of_the_table():
+    page = (DOCS / "memory.md").read_text()
+    assert "images/results/memory-floorplans.png" in page
+    for network, ratios in pictures.ends(pd.read_csv(pictures.TABLE)).items():
+        row = " | ".join([pictures.NETWORKS[network], *(f"{ratio:.3f}" for ratio in ratios)])
+        assert f"| {row} |" in page
+
+
+def test_runs_are_collected_with_their_seconds(tmp_path):
+    run = tmp_path / "gru-7"
+    run.mkdir()
+    (run / "metrics.csv").write_text("iteration,seconds\n1,2.5\n2,5.0\n3,7.5\n")
+    (run / "evaluation.csv").write_text("iteration,env_steps,goal_ratio\n1,10,0.25\n3,30,0.75\n")
+    found = pictures.collect(tmp_path)
+    assert found.network.tolist() == ["gru"] * 2 and found.seed.tolist() == [7, 7]
+    assert found.seconds.tolist() == [2.5, 7.5] and found.goal_ratio.tolist() == [0.25, 0.75]
+    assert pictures.ends(found).loc[7, "gru"] == 0.5
