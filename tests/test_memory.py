@@ -262,7 +262,7 @@ def test_a_stack_that_goes_back_far_enough_finds_the_signal():
 
 @pytest.mark.parametrize("task", [TMaze(), Recall(10)])
 def test_without_memory_it_is_a_matter_of_chance(task):
-    settings = replace(REMEMBERS, num_envs=128, network=replace(REMEMBERS.network, memory="none"))
+    settings = replace(REMEMBERS, num_envs=128, network=replace(REMEMBERS.network, memory=None))
     assert abs(learnt(task, settings, iterations=100) - 0.5) < 0.1
 
 

@@ -9,7 +9,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
-Kind = Literal["none", "gru", "mingru", "stack"]
+Kind = Literal["gru", "mingru", "stack"]
 Product = Callable[..., jax.Array] | None
 
 

@@ -32,8 +32,8 @@ class NetworkSettings:
         precision: of the operands of matrix products in training, whose sums are float32 in any case. What
             is evaluated, watched and exported computes in float32.
         memory: what the network carries from step to step of an episode: `gru` and `mingru` are of
-            `memory.Cell`, `stack` is `memory.Stack` of what the actor's first layer gave. The layers behind
-            the first read it beside that.
+            `memory.Cell`, `stack` is `memory.Stack` of what the actor's first layer gave; None for nothing.
+            The layers behind the first read it beside that.
         memory_size: how many numbers a cell carries, or how many steps a stack goes back.
         memory_stride: of so many steps of a stack one is read.
     """
@@ -43,13 +43,13 @@ class NetworkSettings:
     initializer: Literal["orthogonal", "normc"] = "orthogonal"
     critic: Literal["privileged", "observation"] = "privileged"
     precision: Literal["bfloat16", "float32"] = "bfloat16"
-    memory: Kind = "none"
+    memory: Kind | None = None
     memory_size: int = 64
     memory_stride: int = 4
 
     def first_memory(self) -> jax.Array | None:
         """(H,), what an episode begins with; None without a memory."""
-        if self.memory == "none":
+        if self.memory is None:
             return None
         return jnp.zeros(self.memory_size * (self.hidden[0] if self.memory == "stack" else 1))
 
@@ -111,7 +111,7 @@ class ActorCritic(nn.Module):
             with_value: whether the critic is asked, too.
         """
         settings = self.settings
-        if settings.encoder == "mlp" and settings.memory == "none" and not self.is_privileged:
+        if settings.encoder == "mlp" and settings.memory is None and not self.is_privileged:
             # Both first layers in one matrix product: they read the same features, most of the work.
             both = _dense(
                 settings, 2 * settings.hidden[0], "first", _two_halves(_kernel_init(settings)), columns
@@ -122,7 +122,7 @@ class ActorCritic(nn.Module):
             if with_value:
                 read, transposed = (features, columns) if known is None else (known, None)
                 critic = nn.tanh(self._first("critic", read, transposed))
-        if memory is not None:
+        if memory is not None and settings.memory is not None:
             cell = (
                 Stack(settings.memory_stride, name="memory")
                 if settings.memory == "stack"

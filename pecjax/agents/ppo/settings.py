@@ -65,7 +65,7 @@ class PPO(AgentSettings):
     @property
     def has_memory(self) -> bool:
         """Whether the network has a memory, and learns from sequences."""
-        return self.network.memory != "none"
+        return self.network.memory is not None
 
     @property
     def steps_of_a_sequence(self) -> int:
