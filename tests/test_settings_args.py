@@ -42,6 +42,8 @@ def another(agent, path, value):
         return (*value[:2], 7.0)
     if isinstance(value, tuple):
         return (*value, "other.xml" if str in choices else 7)
+    if value is None and typing.get_origin(choices[0]) is typing.Literal:
+        return typing.get_args(choices[0])[0]
     if value is None:
         return (20, 10) if name == "resolution" else 3
     return value + 1
