@@ -1,4 +1,4 @@
-"""Memory: cells that carry numbers from step to step of an episode."""
+"""Memory: what networks carry from step to step of an episode."""
 
 from __future__ import annotations
 
