@@ -50,13 +50,21 @@ class Ways(NamedTuple):
     origin: jax.Array
 
 
-class GuidedTask(RoomsTask):
-    """The rooms, with the direction (sine and cosine off the heading) and the length of the path."""
+class ShowingTask(RoomsTask):
+    """The rooms, with something more to see."""
+
+    shown: ClassVar[dict[str, Box]]
 
     def __init__(self, *args: Any, **more: Any) -> None:
         """See `RoomsTask`."""
         super().__init__(*args, **more)
-        self.observation_space = self.observation_space | {"way": Box((3,))}
+        self.observation_space = self.observation_space | self.shown
+
+
+class GuidedTask(ShowingTask):
+    """The rooms, with the length of the path and its direction (sine and cosine off the heading)."""
+
+    shown: ClassVar = {"way": Box((3,))}
 
     def observe(self, key: Any, state: Any, params: Any) -> Any:
         """What the drone sees, and the way."""
@@ -69,13 +77,10 @@ class GuidedTask(RoomsTask):
         return super().observe(key, state, params) | {"way": way}
 
 
-class FromAboveTask(RoomsTask):
+class FromAboveTask(ShowingTask):
     """The rooms, with an image of how far from a wall each place around the drone is."""
 
-    def __init__(self, *args: Any, **more: Any) -> None:
-        """See `RoomsTask`."""
-        super().__init__(*args, **more)
-        self.observation_space = self.observation_space | {"above": Box((SIDE, SIDE), 0.0, 1.0)}
+    shown: ClassVar = {"above": Box((SIDE, SIDE), 0.0, 1.0)}
 
     def observe(self, key: Any, state: Any, params: Any) -> Any:
         """What the drone sees, and the walls: ahead of it is up."""
@@ -103,7 +108,7 @@ class Guided(pecjax.Rooms):
     task_kind: ClassVar = GuidedTask
 
     def make(self) -> tuple[Any, World]:
-        """The task and its world, with the paths of all maps: of 10,000 in some minutes."""
+        """The task and its world, with the paths of all maps: of 10,000 in about a minute."""
         task, world = super().make()
         return task, world._replace(params=self._ways(world.params.bank, task.vehicle.radius))
 
@@ -145,6 +150,5 @@ def _way_to(
     known = (paths.number >= 0) & np.isfinite(distance)[paths.number]
     nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
     node = paths.number[tuple(nearest)]
-    return ((turn[node] + 128) % 256 - 128).astype(np.int8), np.minimum(4 * distance[node], 255).astype(
-        np.uint8
-    )
+    bearing, length = (turn[node] + 128) % 256 - 128, np.minimum(4 * distance[node], 255)
+    return bearing.astype(np.int8), length.astype(np.uint8)

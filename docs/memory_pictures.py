@@ -1,7 +1,9 @@
 """The picture of memory.md, from a table of all evaluations of its runs.
 
-python docs/memory_pictures.py                          # into docs/images/results
-python docs/memory_pictures.py --runs FOLDER            # the table first, from FOLDER/NETWORK-SEED
+    python docs/memory_pictures.py                  # into docs/images/results; prints how the runs ended
+    python docs/memory_pictures.py --runs FOLDER    # the table first, from FOLDER/NETWORK-SEED
+
+NETWORK is one of `NETWORKS`.
 """
 
 from __future__ import annotations
@@ -38,10 +40,10 @@ def collect(folder: Path) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-def ends(table: pd.DataFrame, last: int = 3) -> pd.DataFrame:
+def ends(table: pd.DataFrame, column: str = "goal_ratio", last: int = 3) -> pd.DataFrame:
     """The mean of each run's last evaluations within the budget, a row a seed and a column a network."""
-    of_run = table[table.seconds <= BUDGET].groupby(["seed", "network"]).goal_ratio
-    return of_run.apply(lambda ratios: ratios.tail(last).mean()).unstack()
+    of_run = table[table.seconds <= BUDGET].groupby(["seed", "network"])[column]
+    return of_run.apply(lambda values: values.tail(last).mean()).unstack()
 
 
 def curves(table: pd.DataFrame) -> Figure:
@@ -63,15 +65,19 @@ def curves(table: pd.DataFrame) -> Figure:
 
 
 def main(words: list[str] | None = None) -> None:
-    """Draws it."""
+    """Draws it, and prints the ends: of every seed, then the means of what else there is."""
     parser = argparse.ArgumentParser(description="The picture of memory.md.")
     parser.add_argument("--runs", type=Path)
     parser.add_argument("--out", type=Path, default=HERE / "images" / "results")
     given = parser.parse_args(words)
     if given.runs is not None:
         collect(given.runs).to_csv(TABLE, index=False)
+    table = pd.read_csv(TABLE)
+    print(ends(table).round(3))
+    for column in ("spl", *(name for name in table if name.startswith("goal_ratio."))):
+        print(column, ends(table, column).mean().round(2).to_dict())
     with matplotlib.rc_context(STYLE):
-        curves(pd.read_csv(TABLE)).savefig(given.out / "memory-floorplans.png", dpi=DPI)
+        curves(table).savefig(given.out / "memory-floorplans.png", dpi=DPI)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The entry to the command line: `pecjax`, and `python -m pecjax`."""
 
+import importlib
 import os
 import sys
 
@@ -7,7 +8,7 @@ import sys
 def main() -> int:
     """Runs one command; returns its exit code."""
     try:
-        import mujoco  # noqa: F401  # it looks for OpenGL where MUJOCO_GL names one, and fails without
+        importlib.import_module("mujoco")  # where MUJOCO_GL names an OpenGL, this looks for it
     except Exception as error:
         if "MUJOCO_GL" not in os.environ:
             raise

@@ -482,10 +482,7 @@ def test_many_devices_learn_as_one(devices):
 
 @pytest.mark.slow
 def test_two_devices_fly_and_learn_as_one(near_world):
-    """In flight, for as long as no ray passes an edge: there a position's last digit decides what is seen.
-
-    That comes after twelve iterations on JAX 0.12, and later on 0.9.
-    """
+    """In flight, for as long as no ray passes an edge: there a position's last digit decides what is seen."""
     one, two = made(UNCLIPPED, *near_world), made(UNCLIPPED, *near_world, devices=2)
     trials, _ = assert_learn_alike(one, two, near_world[1], iterations=6)
     assert trials > SMALL.num_envs

@@ -30,7 +30,7 @@ class Cell(nn.Module):
         product: of its layers, in place of `jax.lax.dot_general`.
     """
 
-    kind: Kind
+    kind: Literal["gru", "mingru"]
     size: int
     product: Product = None
 

@@ -101,8 +101,9 @@ def _actor(graph: Graph, policy: Policy, params: dict[str, Any]) -> str:
         x = graph.dense(_features(graph, policy), params["first"], slice(settings.hidden[0]))
     x = graph.add("Tanh", x)
     if policy.memory is not None:
-        of_memory = _stacked if settings.memory == "stack" else _remembered
-        x = graph.add("Concat", x, of_memory(graph, policy, x, params.get("memory", {})), axis=1)
+        is_stack = settings.memory == "stack"
+        seen = _stacked(graph, policy, x) if is_stack else _remembered(graph, policy, x, params["memory"])
+        x = graph.add("Concat", x, seen, axis=1)
     for layer in range(1, len(settings.hidden)):
         x = graph.add("Tanh", graph.dense(x, params[f"actor_{layer}"]))
     return graph.dense(x, params["actor_output"])
@@ -124,7 +125,7 @@ def _remembered(graph: Graph, policy: Policy, x: str, params: dict[str, Any]) ->
     return graph.add("Add", new, kept, name=MEMORY_AFTER)
 
 
-def _stacked(graph: Graph, policy: Policy, x: str, _: dict[str, Any]) -> str:
+def _stacked(graph: Graph, policy: Policy, x: str) -> str:
     """What `memory.Stack` sees; its memory after the step has x in place of the oldest."""
     settings = policy.network.settings
     columns = np.arange(settings.memory_size * settings.hidden[0]).reshape(settings.memory_size, -1)
