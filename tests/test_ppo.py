@@ -252,6 +252,26 @@ def test_a_tiny_deviation_counts_as_a_ten_thousandth(devices):
     assert batch.advantage.std() < 0.05
 
 
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_the_rate_falls_to_a_tenth_over_decay_steps(iterations):
+    """Adam's updates by one gradient, beside those at a constant rate."""
+    updates = iterations * SMALL.num_epochs * SMALL.num_minibatches
+    decay = replace(SMALL, decay_steps=iterations * SMALL.num_envs * SMALL.num_steps)
+    gradient = {"w": jnp.asarray([1.0, -2.0])}
+
+    def moves(settings):
+        optimizer = ppo_update.make_optimizer(settings)
+        state, found = optimizer.init(gradient), []
+        for _ in range(2 * updates):
+            change, state = optimizer.update(gradient, state)
+            found.append(change["w"])
+        return np.stack(found)
+
+    part = np.minimum(np.arange(2 * updates) / updates, 1)
+    expected = np.stack([1 - 0.9 * part] * 2, axis=1)
+    np.testing.assert_allclose(moves(decay) / moves(SMALL), expected, rtol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("kl", "factor"),
     [(0.0, 0.5), (0.00499, 0.5), (0.005, 1), (0.01, 1), (0.02, 1), (0.02001, 1.5), (1.0, 1.5)],
@@ -321,7 +341,7 @@ def test_steps_are_cut_once_and_all_used_in_every_epoch():
 def test_the_preset_rllib085_holds_every_value_of_rllib_and_of_the_paper():
     preset, found = PRESETS["rllib085"], RLLIB
     assert isinstance(found, PPO)
-    assert found.learning_rate == 5e-5 and found.adam_eps == 1e-8
+    assert found.learning_rate == 5e-5 and found.decay_steps is None and found.adam_eps == 1e-8
     assert found.num_envs * found.num_steps == 5000  # train_batch_size
     assert 5000 // found.num_minibatches == 128 and found.num_minibatches == 39  # sgd_minibatch_size
     assert found.num_epochs == 30  # num_sgd_iter
@@ -654,6 +674,11 @@ def test_minibatches_must_fit(near_world):
         made(replace(SMALL, num_minibatches=5), *near_world)
     with pytest.raises(pecjax.InputError, match="4097 minibatches"):
         made(replace(SHUFFLES["samples"], num_minibatches=4097), *near_world)
+
+
+def test_a_decay_over_no_steps_is_refused():
+    with pytest.raises(pecjax.InputError, match="decay-steps is 0; give 1 or more, or none"):
+        PPO(decay_steps=0).check()
 
 
 def test_what_cannot_be_learnt_is_refused():

@@ -22,6 +22,7 @@ _RLLIB_085 = PPO(
     num_minibatches=39,
     shuffle="samples",
     learning_rate=5e-5,
+    decay_steps=None,
     adam_eps=1e-8,
     max_grad_norm=None,
     discount=0.99,

@@ -28,6 +28,8 @@ class PPO(AgentSettings):
             `optimizers/multi_gpu_optimizer.py`). A network with a memory learns from sequences: a
             minibatch then has all steps of some environments.
         learning_rate, adam_eps, max_grad_norm: of Adam, with an optional bound on the gradient.
+        decay_steps: environment steps over which the learning rate falls linearly to a tenth, where it
+            stays; None for a constant rate.
         discount, gae_lambda: γ and λ.
         clip_epsilon: ε of the clipped surrogate.
         value_clip: how far a value prediction may move in one iteration; None for any distance.
@@ -47,6 +49,7 @@ class PPO(AgentSettings):
     num_minibatches: int = 32
     shuffle: Literal["steps", "samples"] = "steps"
     learning_rate: float = 1e-3
+    decay_steps: int | None = None
     adam_eps: float = 1e-5
     max_grad_norm: float | None = 0.5
     discount: float = 0.995
@@ -105,6 +108,8 @@ class PPO(AgentSettings):
             raise InputError("environments, steps, epochs and minibatches must each be 1 or more")
         if self.has_memory and self.shuffle == "samples":
             raise InputError("a network with a memory learns from sequences; leave shuffle at 'steps'")
+        if self.decay_steps is not None and self.decay_steps < 1:
+            raise InputError(f"decay-steps is {self.decay_steps}; give 1 or more, or none")
         network = self.network
         if network.memory == "stack" and not 1 <= network.memory_stride <= network.memory_size:
             raise InputError(

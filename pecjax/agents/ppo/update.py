@@ -56,10 +56,20 @@ class Batch(NamedTuple):
 
 def make_optimizer(settings: PPO) -> optax.GradientTransformation:
     """Adam, behind a bound on the gradient's norm if there is one."""
-    adam = optax.adam(settings.learning_rate, eps=settings.adam_eps)
+    adam = optax.adam(learning_rate(settings), eps=settings.adam_eps)
     if settings.max_grad_norm is None:
         return adam
     return optax.chain(optax.clip_by_global_norm(settings.max_grad_norm), adam)
+
+
+def learning_rate(settings: PPO) -> optax.ScalarOrSchedule:
+    """Constant, or falling update by update."""
+    rate = settings.learning_rate
+    if settings.decay_steps is None:
+        return rate
+    updates = settings.num_epochs * settings.num_minibatches  # of num_envs · num_steps environment steps
+    falling = settings.decay_steps * updates // (settings.num_envs * settings.num_steps)
+    return optax.linear_schedule(rate, 0.1 * rate, max(1, falling))
 
 
 def prepare(
