@@ -4,10 +4,10 @@
     python benchmarks/race.py [--racers pecjax brax ...] [--spaces 1 2 rooms-pairs] [--seeds 3] [--limit 300]
         [--best race_best.json] [--out race.json] [--pythons brax=OTHER/bin/python]
 
-First every racer is searched: each of `SEARCH` once, on set 1 with seed 100, and what reaches 0.97 in the
-fewest seconds of training is its best. `--best` keeps them; what is in that file is not searched again. Then
-the best race on fresh seeds, one process a run, the racers in turn, so that a machine that drifts drifts for
-all.
+First every racer is searched: each of `SEARCH`, for Ape-X `SEARCH_OF_APEX`, once, on set 1 with seed 100.
+What reaches 0.97 in the fewest seconds of training is its best. `--best` keeps them; what is there is not
+searched again. Then the best race on fresh seeds, one process a run, the racers in turn, so that a machine
+that drifts drifts for all.
 
 `--pythons` names the Python of a racer that needs an environment of its own: Brax 0.14.2 does not train on
 JAX 0.12.
@@ -42,6 +42,17 @@ SEARCH: tuple[dict[str, Any], ...] = (
     {"num_epochs": 2, "num_minibatches": 16},
     {"num_epochs": 2, "num_minibatches": 32, "discount": 0.995},
     {"num_envs": 1024, "num_steps": 16},
+)
+# Ape-X starts from its preset.
+SEARCH_OF_APEX: tuple[dict[str, Any], ...] = (
+    {},
+    {"learning_rate": 1e-4},
+    {"learning_rate": 4e-4},
+    {"replay_ratio": 1.0},
+    {"replay_ratio": 4.0},
+    {"n_step": 5},
+    {"num_envs": 1024},
+    {"batch_size": 512},
 )
 # C MuJoCo flies few environments at its best; its batches are as large.
 OF_SB3 = {512: (64, 256), 1024: (32, 512)}
@@ -108,6 +119,8 @@ def in_process(
 
 def settings_of(name: str, change: dict[str, Any]) -> dict[str, Any]:
     """A racer's settings: the base with a change."""
+    if name == "apex":
+        return {"agent": "apex"} | change
     settings = BASE | change
     if name == "sb3":
         settings["num_envs"], settings["num_steps"] = OF_SB3[settings["num_envs"]]
@@ -117,7 +130,7 @@ def settings_of(name: str, change: dict[str, Any]) -> dict[str, Any]:
 def search(name: str, limit: float, python: str) -> dict[str, Any]:
     """The best settings of a racer, and what each of those tried took."""
     tried = []
-    for change in SEARCH:
+    for change in SEARCH_OF_APEX if name == "apex" else SEARCH:
         result = in_process(name, "1", SEARCH_SEED, settings_of(name, change), limit, python)
         tried.append({"change": change, **result})
         print(
@@ -136,7 +149,7 @@ def _to_goal(result: dict) -> float:
 def main() -> None:
     """Searches, races, prints the table, writes the JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--racers", nargs="*", default=["pecjax", "brax", "purejax", "rejax", "sb3"])
+    parser.add_argument("--racers", nargs="*", default=["pecjax", "apex", "brax", "purejax", "rejax", "sb3"])
     parser.add_argument("--spaces", nargs="*", default=[*THRESHOLDS])
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--limit", type=float, default=300, help="seconds of training of one run")

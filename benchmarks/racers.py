@@ -240,4 +240,4 @@ def sb3(settings: dict[str, Any], rooms: Rooms, seed: int) -> Racer:
     return act, train()
 
 
-RACERS = {"pecjax": ours, "purejax": purejax, "rejax": rejax, "brax": brax, "sb3": sb3}
+RACERS = {"pecjax": ours, "apex": ours, "purejax": purejax, "rejax": rejax, "brax": brax, "sb3": sb3}

@@ -110,7 +110,7 @@ def make_recording(
     if not flights:
         raise ValueError("no flights")
     numbers = sorted({flight.map_id for flight in flights})
-    maps = {number: _map(world.params.bank, number) for number in numbers}
+    maps = {number: map_of(world.params.bank, number) for number in numbers}
     return Recording(title, task, maps, flights)
 
 
@@ -162,7 +162,7 @@ def _camera(task: RoomsTask, world: World) -> Camera:
     return images
 
 
-def _map(bank: MapBank, number: int) -> Map:
+def map_of(bank: MapBank, number: int) -> Map:
     """One map of a bank, without the boxes that only fill it up."""
     lower, upper, bounds = (np.asarray(leaf)[number] for leaf in bank)
     real = lower[:, 0] < FAR_AWAY
