@@ -119,6 +119,8 @@ class Guided(pecjax.Rooms):
         goals = np.full((len(bank.bounds), 2), np.nan)
         for part in (space.train, space.held_out):
             goals[part.table.map_id] = part.table.goal
+            if not np.array_equal(goals[part.table.map_id], part.table.goal):
+                raise InputError(f"space '{self.space}' has several goals in a map; floorplans has one")
         lower, upper, bounds = map(np.asarray, (bank.lower, bank.upper, bank.bounds))
         shape = np.round((bounds[:, 1] - bounds[:, 0]).max(axis=0) / CELL).astype(int) + 1
         bearing = np.zeros((len(goals), *shape), np.int8)

@@ -16,7 +16,7 @@ from pecjax.agents.distributions import make_distribution
 from pecjax.agents.networks import forward
 from pecjax.agents.observations import encode
 from pecjax.agents.ppo.agent import critic_features, make_network
-from pecjax.agents.ppo.update import Learner, make_optimizer, prepare, update
+from pecjax.agents.ppo.update import Flown, Learner, make_optimizer, prepare, update
 from pecjax.agents.rollout import Seen, Trajectory
 from pecjax.agents.sharding import env_keys
 from pecjax.curriculum import Outcomes, Sampler
@@ -61,7 +61,8 @@ def learner(task: Task, mesh: Mesh, settings: PPO) -> tuple[Workload, Workload]:
     reward = jax.random.normal(key, shape)
     done = jnp.float32(reward > 2)
     recorded = features.astype(jnp.bfloat16 if settings.network.precision == "bfloat16" else jnp.float32)
-    trajectory = Trajectory(None, action, reward, done, None, (recorded, known, None, action, logits, value))
+    flown = Flown(recorded, known, action, logits, value)
+    trajectory = Trajectory(None, action, reward, done, None, flown)
 
     def act(params, seen, key):
         noise = jax.random.uniform(key, seen.obs["goal"].shape[:2])

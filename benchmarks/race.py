@@ -118,9 +118,9 @@ def in_process(
 
 
 def settings_of(name: str, change: dict[str, Any]) -> dict[str, Any]:
-    """A racer's settings: the base with a change."""
+    """A racer's settings: the base with a change; of Ape-X what changes of its preset."""
     if name == "apex":
-        return {"agent": "apex"} | change
+        return change
     settings = BASE | change
     if name == "sb3":
         settings["num_envs"], settings["num_steps"] = OF_SB3[settings["num_envs"]]

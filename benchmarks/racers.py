@@ -2,12 +2,11 @@
 
 A racer is a function of (settings, rooms, seed) that returns how its policy acts, (params, obs, key) ->
 action, and an iterator that trains for a stretch whenever it is asked, and gives the steps so far and the
-parameters. All take the same settings. Each docstring names what that racer cannot do.
+parameters. All but Ape-X take the same settings. Each docstring names what that racer cannot do.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import itertools
 import queue
@@ -22,6 +21,7 @@ from purejax_ppo import FlatRooms, make_purejax
 
 import pecjax
 from pecjax.agents import PPO, Apex
+from pecjax.agents.base import AgentSettings
 from pecjax.agents.networks import NetworkSettings
 from pecjax.agents.observations import encode
 from pecjax.envs.rooms import Rooms
@@ -35,13 +35,18 @@ Racer = tuple[Act, Iterator[tuple[int, Any]]]
 
 
 def ours(settings: dict[str, Any], rooms: Rooms, seed: int) -> Racer:
-    """pecjax with PEC, PPO or Ape-X, over all devices."""
-    settings = dict(settings)
-    if settings.pop("agent", "ppo") == "apex":
-        agent: Any = dataclasses.replace(Apex(), **settings)
-    else:
-        hidden = tuple(settings.pop("hidden", (64, 64)))
-        agent = dataclasses.replace(PPO(network=NetworkSettings(hidden=hidden)), **settings)
+    """pecjax's PPO with PEC, over all devices."""
+    network = NetworkSettings(hidden=tuple(settings["hidden"]))
+    others = {name: value for name, value in settings.items() if name != "hidden"}
+    return _of_pecjax(PPO(network=network, **others), rooms, seed)
+
+
+def apex(settings: dict[str, Any], rooms: Rooms, seed: int) -> Racer:
+    """pecjax's Ape-X with PEC, over all devices."""
+    return _of_pecjax(Apex(**settings), rooms, seed)
+
+
+def _of_pecjax(agent: AgentSettings, rooms: Rooms, seed: int) -> Racer:
     run = build(pecjax.RunSettings(task=rooms, agent=agent), len(jax.devices()))
 
     def train() -> Iterator[tuple[int, Any]]:
@@ -240,4 +245,4 @@ def sb3(settings: dict[str, Any], rooms: Rooms, seed: int) -> Racer:
     return act, train()
 
 
-RACERS = {"pecjax": ours, "apex": ours, "purejax": purejax, "rejax": rejax, "brax": brax, "sb3": sb3}
+RACERS = {"pecjax": ours, "apex": apex, "purejax": purejax, "rejax": rejax, "brax": brax, "sb3": sb3}

@@ -15,6 +15,7 @@ import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from scipy import stats
 
 from pecjax.plotting.style import COLORS, PAGE, STYLE
 
@@ -73,7 +74,12 @@ def main(words: list[str] | None = None) -> None:
     if given.runs is not None:
         collect(given.runs).to_csv(TABLE, index=False)
     table = pd.read_csv(TABLE)
-    print(ends(table).round(3))
+    reached = ends(table)
+    print(reached.round(3))
+    difference = reached.mingru - reached.mlp
+    low, high = stats.t.interval(0.95, len(difference) - 1, difference.mean(), stats.sem(difference))
+    print(f"mingru - mlp: {difference.mean():.3f} [{low:.3f}, {high:.3f}]")
+    print("million steps", (ends(table, "env_steps", last=1) / 1e6).round(0).to_dict("list"))
     for column in ("spl", *(name for name in table if name.startswith("goal_ratio."))):
         print(column, ends(table, column).mean().round(2).to_dict())
     with matplotlib.rc_context(STYLE):

@@ -336,7 +336,7 @@ def test_the_preset_apex_rllib085_holds_every_value_of_rllib_and_of_the_paper():
     assert found.replay == ReplaySettings(2_000_000, 4, 0.6, 0.4, 1e-6, False, "shard")
     assert found.learning_starts == 50_000 and found.target_period == 20_000
     assert found.batch_size == 5000 and found.rollout_length == 50
-    assert found.learning_rate == 5e-4 and found.decay_updates is None
+    assert found.learning_rate == 5e-4 and found.decay_steps is None
     assert found.adam_eps == 1e-8 and found.max_grad_norm == 40
     assert found.huber_delta == 1.0 and found.reward_scale == 1.0
     assert found.network == QNetworkSettings(trunk=(256, 256), head=256)

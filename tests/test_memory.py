@@ -1,5 +1,6 @@
 """Memories: cells against flax and NumPy, sequences against steps, tasks that only a memory solves."""
 
+import functools
 from dataclasses import replace
 
 import flax.linen as nn
@@ -14,13 +15,14 @@ from probe_tasks import WORLD
 from pecjax.agents import AXIS, PPO, device_mesh, shard
 from pecjax.agents.memory import Cell, Stack
 from pecjax.agents.networks import ActorCritic, NetworkSettings, decide, forward
-from pecjax.agents.ppo import minibatches
+from pecjax.agents.ppo import agent as ppo_agent, minibatches
 from pecjax.curriculum import uniform
 from pecjax.errors import InputError
 from pecjax.training.evaluation import make_episode_runner, stratified_config_ids
 
 STEPS, ENVS, FEATURES, SIZE = 7, 5, 4, 6
 KINDS = ("gru", "mingru")
+ALL = (*KINDS, "stack")
 WINDOW, STRIDE = 4, 2
 
 
@@ -158,6 +160,14 @@ REMEMBERS = PPO(
 )
 
 
+def with_memory(kind, length=None):
+    """`REMEMBERS` with another memory, and sequences of so many steps."""
+    network = replace(REMEMBERS.network, memory=kind, memory_stride=2)
+    if kind == "stack":
+        network = replace(network, memory_size=4)
+    return replace(REMEMBERS, sequence_length=length, network=network)
+
+
 @pytest.mark.parametrize("length", [None, 4, 1])
 def test_minibatches_are_of_whole_sequences_and_every_one_is_in_one(length):
     settings = replace(REMEMBERS, sequence_length=length)
@@ -194,22 +204,46 @@ def learnt(task, settings, iterations, seed=0):
     return float(runner(state.learner, WORLD, config_id, jnp.arange(600)).success.mean())
 
 
-@pytest.mark.parametrize("length", [None, 4])
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_first_look_at_a_batch_finds_the_probabilities_that_it_was_flown_by(kind, length):
-    """Over batches that episodes cross: the ratio of the surrogate is 1, and so KL is 0."""
-    network = replace(REMEMBERS.network, memory=kind)
-    still = replace(REMEMBERS, learning_rate=0.0, sequence_length=length, network=network)
-    agent, iterate = agent_of(TMaze(), still)
+@functools.cache
+def trained(kind, length):
+    """A learner of the T-maze after some iterations, in the midst of episodes."""
+    agent, iterate = agent_of(TMaze(), with_memory(kind, length))
     state = jax.jit(agent.init)(jax.random.key(0), WORLD)
+    for _ in range(20):
+        state, _ = iterate(state, WORLD)
+    return state
+
+
+@pytest.mark.parametrize("wrong", [None, "memory", "starts"])
+@pytest.mark.parametrize("length", [None, 4])
+@pytest.mark.parametrize("kind", ALL)
+def test_the_first_look_at_a_batch_finds_the_probabilities_that_it_was_flown_by(
+    kind, length, wrong, monkeypatch
+):
+    """Over batches that episodes cross the surrogate's ratio is 1 and KL is 0, unless a part is left out."""
+    if wrong is not None:
+        right = ppo_agent.prepare
+
+        def without(*args):
+            batch = right(*args)
+            return batch._replace(**{wrong: jnp.zeros_like(getattr(batch, wrong))})
+
+        monkeypatch.setattr(ppo_agent, "prepare", without)
+    _, iterate = agent_of(TMaze(), replace(with_memory(kind, length), learning_rate=0.0))
+    state, differences = trained(kind, length), []
     for _ in range(4):
         state, metrics = iterate(state, WORLD)
-        assert abs(float(metrics.losses["kl"])) < 1e-7
-        assert np.abs(state.envs.memory).max() > 1e-3
+        differences.append(abs(float(metrics.losses["kl"])))
+    if wrong is None:
+        assert max(differences) < 1e-7
+    else:
+        assert min(differences) > 1e-5
 
 
-def test_two_devices_learn_as_one():
-    one, two = agent_of(TMaze(), REMEMBERS), agent_of(TMaze(), REMEMBERS, 2)
+@pytest.mark.parametrize(("kind", "length"), [("gru", None), ("mingru", 4), ("stack", 4)])
+def test_two_devices_learn_as_one(kind, length):
+    settings = with_memory(kind, length)
+    one, two = agent_of(TMaze(), settings), agent_of(TMaze(), settings, 2)
     states = [jax.jit(agent.init)(jax.random.key(1), WORLD) for agent, _ in (one, two)]
     for _ in range(5):
         states = [iterate(state, WORLD)[0] for state, (_, iterate) in zip(states, (one, two), strict=True)]
@@ -220,8 +254,9 @@ def test_two_devices_learn_as_one():
     assert len(states[1].envs.memory.sharding.device_set) == 2
 
 
-def test_runs_side_by_side_are_those_alone():
-    agent, iterate = agent_of(TMaze(), REMEMBERS)
+@pytest.mark.parametrize(("kind", "length"), [("gru", None), ("mingru", 4), ("stack", 4)])
+def test_runs_side_by_side_are_those_alone(kind, length):
+    agent, iterate = agent_of(TMaze(), with_memory(kind, length))
     keys = jax.random.split(jax.random.key(3), 2)
     together = jax.vmap(agent.init, (0, None))(keys, WORLD)
     alone = [agent.init(key, WORLD) for key in keys]
@@ -272,6 +307,8 @@ def test_settings_that_do_not_fit_are_refused():
     for change, words in (
         ({"shuffle": "samples"}, "learns from sequences"),
         ({"sequence_length": 3}, "sequences of 3 do not divide 8 steps"),
+        ({"sequence_length": -8}, "sequence-length and memory-size must each be 1 or more"),
+        ({"network": NetworkSettings(memory="gru", memory_size=0)}, "must each be 1 or more"),
         ({"num_minibatches": 5}, "5 minibatches do not divide 32 environments"),
         (
             {"network": NetworkSettings(memory="stack", memory_size=2)},

@@ -22,7 +22,7 @@ from pecjax.agents import AXIS, PPO, device_mesh, shard
 from pecjax.agents.distributions import categorical, tanh_normal
 from pecjax.agents.networks import ActorCritic, NetworkSettings, forward
 from pecjax.agents.ppo import minibatches, update as ppo_update
-from pecjax.agents.ppo.update import Batch
+from pecjax.agents.ppo.update import Batch, Flown
 from pecjax.agents.rollout import Trajectory
 from pecjax.curriculum import PEC
 from pecjax.envs.axes import fill
@@ -191,7 +191,7 @@ def test_terms_of_continuous_actions_equal_scipys():
 def trajectory_of(rewards, values, dones, bootstrap=None) -> Trajectory:
     logits = np.zeros((*values.shape, ACTIONS), np.float32)
     drawn = np.zeros(values.shape, np.int32)
-    return Trajectory(None, drawn, rewards, dones, bootstrap, (None, None, None, drawn, logits, values))
+    return Trajectory(None, drawn, rewards, dones, bootstrap, Flown(None, None, drawn, logits, values))
 
 
 def random_trajectory(scale: float = 500.0):
@@ -220,7 +220,7 @@ def test_advantages_are_standardised_over_the_whole_batch(devices, reward_scale)
     settings = replace(RLLIB, reward_scale=reward_scale)
     trajectory, last_value = random_trajectory()
     batch = prepared(settings, trajectory, last_value, devices)
-    values = jnp.concatenate([trajectory.extras[5], last_value[None]])
+    values = jnp.concatenate([trajectory.extras.value, last_value[None]])
     raw = jax.vmap(rlax.truncated_generalized_advantage_estimation, (1, 1, None, 1), 1)(
         reward_scale * trajectory.reward, 0.99 * (1 - trajectory.done), 0.95, values
     )
@@ -246,7 +246,7 @@ def test_a_tiny_deviation_counts_as_a_ten_thousandth(devices):
     trajectory, last_value = random_trajectory(scale=1e-6)
     dones = np.ones_like(trajectory.done)  # advantage = reward - value
     batch = prepared(RLLIB, trajectory._replace(done=dones), last_value, devices)
-    raw = np.float64(trajectory.reward) - trajectory.extras[5]
+    raw = np.float64(trajectory.reward) - trajectory.extras.value
     # The rewards lie around -1 with a spread of 1e-6, of which float32 keeps 6e-8.
     np.testing.assert_allclose(batch.advantage, (raw - raw.mean()) / 1e-4, atol=2e-3)
     assert batch.advantage.std() < 0.05
@@ -270,6 +270,15 @@ def test_the_rate_falls_to_a_tenth_over_decay_steps(iterations):
     part = np.minimum(np.arange(2 * updates) / updates, 1)
     expected = np.stack([1 - 0.9 * part] * 2, axis=1)
     np.testing.assert_allclose(moves(decay) / moves(SMALL), expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("shuffle", ["steps", "samples"])
+def test_an_iteration_takes_the_updates_that_the_rate_falls_by(shuffle):
+    settings = replace(SHUFFLES[shuffle], decay_steps=10_000)
+    agent = made(settings, TwoStates(), WORLD)
+    state, _ = jax.jit(agent.iterate)(agent.init(jax.random.key(0), WORLD), WORLD)
+    found = optax.tree_utils.tree_get_all_with_path(state.learner.optimizer, "count")
+    assert [int(count) for _, count in found] == 2 * [settings.num_epochs * settings.num_minibatches]
 
 
 @pytest.mark.parametrize(

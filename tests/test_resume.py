@@ -285,6 +285,19 @@ def test_a_network_from_before_critics_were_told_more_stays_as_it_was():
     assert from_json(study_settings(study), StudySettings).run.agent.network == exact
 
 
+@pytest.mark.parametrize(
+    ("updates", "steps"), [(11_200, 5_734_400), (None, None), ("many", "many"), (float("inf"), float("inf"))]
+)
+def test_a_fall_over_updates_is_one_over_steps_today(updates, steps):
+    former = to_json(RunSettings(agent=agents.Apex()))
+    del former["agent"]["decay_steps"]
+    former["agent"]["decay_updates"] = updates
+    assert run_settings(former)["agent"]["decay_steps"] == steps
+    assert "decay_updates" not in run_settings(former)["agent"]
+    if updates == 11_200:
+        assert from_json(run_settings(former), RunSettings) == RunSettings(agent=agents.Apex())
+
+
 def test_a_table_that_a_space_left_unused_is_none_today():
     former = to_json(RunSettings(task=Rooms(table="1", space="rooms-pairs")))
     wanted = RunSettings(task=Rooms(space="rooms-pairs"))

@@ -343,6 +343,37 @@ def walks():
     return started, jax.tree.map(lambda *parts: np.concatenate(parts), *batches)
 
 
+@pytest.mark.parametrize("stretch", [None, 5, 3, 1])
+def test_a_memory_is_of_its_episode_and_kept_before_each_stretch(stretch):
+    """A memory that counts its episode's steps; values at a cut are of the memory after the last step."""
+    task, sampler = Walk(), uniform(3)
+    policy = Policy(
+        lambda key: jax.random.bernoulli(key, 0.6).astype(jnp.int32),
+        lambda seen, noise: (noise, seen.memory + 1, seen.memory[:, 0]),
+        lambda seen: 1000 + seen.memory[:, 0],
+        jnp.zeros(1),
+    )
+    envs = init_rollout(task, WALK, sampler, sampler.init(), jax.random.key(0), 16, policy.first_memory)
+
+    def walk(envs, stretch):
+        key = jax.random.key(1)
+        return rollout(task, WALK, sampler, sampler.init(), policy, envs, key, jnp.arange(16), 15, stretch)
+
+    after, trajectory, episodes = jax.jit(walk, static_argnums=1)(envs, stretch)
+    begun, ended = np.zeros(16), np.asarray(trajectory.done) == 1
+    for counted, done in zip(np.asarray(trajectory.extras), ended, strict=True):
+        np.testing.assert_array_equal(counted, begun)
+        begun = np.where(done, 0, begun + 1)
+    np.testing.assert_array_equal(after.memory[:, 0], begun)
+    np.testing.assert_array_equal(trajectory.memory[..., 0], trajectory.extras[:: stretch or 15])
+    cut = np.asarray(trajectory.bootstrap) != 0
+    assert 0 < cut.sum() < ended.sum()
+    np.testing.assert_array_equal(trajectory.bootstrap[cut], 1001 + trajectory.extras[cut])
+    whole = jax.jit(walk, static_argnums=1)(envs, None)
+    others = after, trajectory._replace(memory=None), episodes
+    jax.tree.map(np.testing.assert_array_equal, others, (whole[0], whole[1]._replace(memory=None), whole[2]))
+
+
 def test_metrics_lengths_and_returns_are_those_of_a_plain_loop(walks):
     started, (trajectory, episodes) = walks
     outcomes, ends = episodes.outcomes, {"bottom": 0, "top": 0, "cut up": 0, "cut down": 0}

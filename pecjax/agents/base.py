@@ -88,8 +88,18 @@ class AgentSettings(abc.ABC):
 
     @property
     def device_divisor(self) -> int:
-        """What the number of devices must divide: the environments."""
+        """What the number of devices must divide: how many there are of `divided`."""
         return self.num_envs
+
+    @property
+    def divided(self) -> str:
+        """What devices share evenly."""
+        return "environments"
+
+    @property
+    def memory_bytes(self) -> int:
+        """What an iteration holds of the network's memory."""
+        return 0
 
     @property
     def observations_held(self) -> int:

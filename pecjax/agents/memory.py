@@ -9,6 +9,8 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
+from pecjax.agents.initializers import side_by_side
+
 Kind = Literal["gru", "mingru", "stack"]
 Product = Callable[..., jax.Array] | None
 
@@ -27,7 +29,7 @@ class Cell(nn.Module):
     Attributes:
         kind: `gru` or `mingru`.
         size: H.
-        product: of its layers, in place of `jax.lax.dot_general`.
+        product: of what it reads, in place of `jax.lax.dot_general`; those of the memory are float32.
     """
 
     kind: Literal["gru", "mingru"]
@@ -52,7 +54,7 @@ class Cell(nn.Module):
         read = nn.Dense(gates * self.size, name="read", dot_general=self.product)(x)
         kept = jnp.ones(x.shape[:2]) if starts is None else 1.0 - starts
         is_gru = self.kind == "gru"
-        square, zeros = _side_by_side(nn.initializers.orthogonal(), gates), nn.initializers.zeros
+        square, zeros = side_by_side(nn.initializers.orthogonal(), gates), nn.initializers.zeros
         recall = self.param("recall", square, (self.size, gates * self.size)) if is_gru else None
         bias = self.param("recall_bias", zeros, (self.size,)) if is_gru else None
 
@@ -103,13 +105,3 @@ class Stack(nn.Module):
         seen = [back(by) for by in range(self.stride, window + 1, self.stride)]
         last = all_of[steps:] * (episode[steps:] == begun[-1])[..., None]
         return jnp.concatenate(seen, axis=-1), jnp.moveaxis(last, 0, 1).reshape(envs, -1)
-
-
-def _side_by_side(init: Callable[..., jax.Array], number: int) -> Callable[..., jax.Array]:
-    """Square kernels, each by the initializer, in one."""
-
-    def kernels(key: jax.Array, shape: tuple[int, int]) -> jax.Array:
-        keys = jax.random.split(key, number)
-        return jnp.concatenate([init(k, (shape[0], shape[1] // number)) for k in keys], axis=-1)
-
-    return kernels

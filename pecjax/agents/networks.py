@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pecjax.agents.convolutions import Convolutions
+from pecjax.agents.initializers import Initializer, normc, side_by_side
 from pecjax.agents.memory import Cell, Kind, Stack
 from pecjax.agents.products import bfloat16_product
 
@@ -29,8 +30,8 @@ class NetworkSettings:
         critic: what the critic reads: `observation` is what the actor reads; `privileged` is what the task
             tells a critic of its state, with what of the observation is no image. It is the same as
             `observation` where the task tells nothing, as the rooms do where there are several maps.
-        precision: of the operands of matrix products in training, whose sums are float32 in any case. What
-            is evaluated, watched and exported computes in float32.
+        precision: of the operands of matrix products in training, but those of a GRU's memory; sums are
+            float32 in any case. What is evaluated, watched and exported computes in float32.
         memory: what the network carries from step to step of an episode: `gru` and `mingru` are of
             `memory.Cell`, `stack` is `memory.Stack` of what the actor's first layer gave; None for nothing.
             The layers behind the first read it beside that.
@@ -47,24 +48,16 @@ class NetworkSettings:
     memory_size: int = 64
     memory_stride: int = 4
 
+    @property
+    def memory_numbers(self) -> int:
+        """H, how many numbers are carried."""
+        if self.memory is None:
+            return 0
+        return self.memory_size * (self.hidden[0] if self.memory == "stack" else 1)
+
     def first_memory(self) -> jax.Array | None:
         """(H,), what an episode begins with; None without a memory."""
-        if self.memory is None:
-            return None
-        return jnp.zeros(self.memory_size * (self.hidden[0] if self.memory == "stack" else 1))
-
-
-Initializer = Callable[..., jax.Array]
-
-
-def normc(scale: float) -> Initializer:
-    """Normal columns scaled to length `scale` (RLlib 0.8.5, `models/tf/misc.py`)."""
-
-    def init(key: jax.Array, shape: tuple[int, ...], dtype: np.dtype = jnp.float32) -> jax.Array:
-        weights = jax.random.normal(key, shape, dtype)
-        return scale * weights / jnp.linalg.norm(weights, axis=0, keepdims=True)
-
-    return init
+        return None if self.memory is None else jnp.zeros(self.memory_numbers)
 
 
 class Output(NamedTuple):
@@ -114,7 +107,7 @@ class ActorCritic(nn.Module):
         if settings.encoder == "mlp" and settings.memory is None and not self.is_privileged:
             # Both first layers in one matrix product: they read the same features, most of the work.
             both = _dense(
-                settings, 2 * settings.hidden[0], "first", _two_halves(_kernel_init(settings)), columns
+                settings, 2 * settings.hidden[0], "first", side_by_side(_kernel_init(settings), 2), columns
             )
             actor, critic = jnp.split(nn.tanh(both(features)), 2, axis=-1)
         else:
@@ -157,14 +150,6 @@ def _kernel_init(settings: NetworkSettings, gain: float = np.sqrt(2)) -> Initial
     if settings.initializer == "normc":
         return normc(min(gain, 1.0))
     return nn.initializers.orthogonal(gain)
-
-
-def _two_halves(init: Initializer) -> Initializer:
-    def halves(key: jax.Array, shape: tuple[int, ...], dtype: np.dtype = jnp.float32) -> jax.Array:
-        parts = [init(k, (*shape[:-1], shape[-1] // 2), dtype) for k in jax.random.split(key)]
-        return jnp.concatenate(parts, axis=-1)
-
-    return halves
 
 
 def _dense(

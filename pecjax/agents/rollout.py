@@ -62,7 +62,7 @@ class RolloutState(NamedTuple):
 
 
 class Trajectory(NamedTuple):
-    """What was done, every leaf with leading axes (T, B).
+    """What was done, every leaf but the memory with leading axes (T, B).
 
     Attributes:
         obs: the observation before the action.
@@ -71,6 +71,7 @@ class Trajectory(NamedTuple):
         bootstrap: the value of what an episode that was cut off would have gone on to see, 0 elsewhere;
             None of a task that never truncates.
         extras: what the policy reported with the action.
+        memory: (T / L, B, H), before each stretch of L steps; None of a policy without one.
     """
 
     obs: Any
@@ -79,6 +80,7 @@ class Trajectory(NamedTuple):
     done: jax.Array
     bootstrap: jax.Array | None
     extras: Any
+    memory: Any = None
 
 
 class _Draws(NamedTuple):
@@ -150,6 +152,7 @@ def rollout(
     key: jax.Array,
     env_ids: jax.Array,
     num_steps: int,
+    stretch: int | None = None,
 ) -> tuple[RolloutState, Trajectory, Episodes]:
     """Steps every environment T times (Jang & Choi 2022, Fig. 1, lines 2-10).
 
@@ -159,6 +162,7 @@ def rollout(
 
     Args:
         env_ids: (B,), the environments' global numbers: all randomness is keyed by them.
+        stretch: L, which divides T; None for all T.
     """
     all_draws = _draw(sampler, sampler_state, policy.noise, env_keys(key, env_ids), num_steps)
 
@@ -183,5 +187,13 @@ def rollout(
         )
         return envs, (trajectory, episodes)
 
-    envs, (trajectory, episodes) = jax.lax.scan(step, envs, all_draws)
-    return envs, trajectory, episodes
+    # A memory may be large, so it is kept where it is needed and not at every step.
+    def fly(envs: RolloutState, draws: _Draws) -> tuple[RolloutState, tuple[Any, Any]]:
+        after, flown = jax.lax.scan(step, envs, draws)
+        return after, (envs.memory, flown)
+
+    stretches = (-1, stretch or num_steps)
+    draws = jax.tree.map(lambda leaf: leaf.reshape(*stretches, *leaf.shape[1:]), all_draws)
+    envs, (memory, flown) = jax.lax.scan(fly, envs, draws)
+    trajectory, episodes = jax.tree.map(lambda leaf: leaf.reshape(num_steps, *leaf.shape[2:]), flown)
+    return envs, trajectory._replace(memory=memory), episodes

@@ -52,11 +52,12 @@ def compiler_options(*, runs_once: bool = False) -> dict[str, int]:
     return {"xla_backend_optimization_level": 0 if runs_once else 1}
 
 
-def choose_num_devices(wanted: int | None, device_divisor: int) -> int:
+def choose_num_devices(wanted: int | None, device_divisor: int, divided: str = "runs") -> int:
     """How many devices share the work: as wanted, or as many as divide it.
 
     Args:
-        device_divisor: how many equal parts it can be cut into: environments, or the replay's shards.
+        device_divisor: how many equal parts it can be cut into.
+        divided: what these parts are.
 
     Raises:
         InputError: fewer than 1 wanted, more than there are, or a number that does not divide.
@@ -72,23 +73,22 @@ def choose_num_devices(wanted: int | None, device_divisor: int) -> int:
         raise InputError(f"devices is {wanted}; this machine has {available}, give 1 to {available}")
     if device_divisor % wanted:
         raise InputError(
-            f"{device_divisor} environments or replay shards cannot be shared evenly by {wanted} devices; "
-            "change either"
+            f"{device_divisor} {divided} cannot be shared evenly by {wanted} devices; change either"
         )
     return wanted
 
 
-def advice_on_idle_devices(num_envs: int, device_divisor: int, num_devices: int) -> str:
+def advice_on_idle_devices(num_envs: int, device_divisor: int, divided: str, num_devices: int) -> str:
     """How all devices could be used where the number of equal parts leaves some idle, else nothing.
 
     Args:
-        device_divisor: as in `choose_num_devices`.
+        device_divisor, divided: as in `choose_num_devices`.
     """
     available = len(jax.devices())
     if num_devices == available or device_divisor % available == 0:
         return ""
     if device_divisor != num_envs:
-        return f"; they share the work by its {device_divisor} replay shards"
+        return f"; they share the work by its {device_divisor} {divided}"
     below = num_envs // available * available
     near = [str(number) for number in (below, below + available) if number]
     return f"; --num-envs {' or '.join(near)} would use all of them"

@@ -62,6 +62,7 @@ def build(settings: RunSettings, num_devices: int, *, trains: bool = True) -> Ru
         check_memory(agent.replay_bytes, num_devices)
         held = observation_bytes(task, settings.agent.observations_held)
         check_memory(held, num_devices, "the observations of an iteration take")
+        check_memory(settings.agent.memory_bytes, num_devices, "the memories of an iteration take")
     eval_set = settings.task.eval_set(world)
     world = everywhere(world, mesh)
     return Run(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import re
 from collections.abc import Mapping
@@ -33,7 +34,7 @@ def run_settings(content: Any) -> Any:
     if "algorithm" not in content:
         if _has_unused_table(content):
             content = {**content, "task": {**content["task"], "table": None}}
-        return {**content, "agent": _with_network(content["agent"])} if "agent" in content else content
+        return {**content, "agent": _agent(content["agent"])} if "agent" in content else content
     agent = str(content["algorithm"])
     if agent not in _AGENTS:
         raise InputError(f"unknown algorithm '{agent}'; choose one of {', '.join(_AGENTS)}")
@@ -44,9 +45,7 @@ def run_settings(content: Any) -> Any:
     return {
         "task": _kind(Rooms, task),
         "sampler": _sampler(content),
-        "agent": _with_network(
-            _kind(_AGENTS[agent], {_RENAMED.get(n, n): value for n, value in numbers.items()})
-        ),
+        "agent": _agent(_kind(_AGENTS[agent], {_RENAMED.get(n, n): value for n, value in numbers.items()})),
         "evaluation": {
             name: content[former]
             for name, former in {
@@ -62,12 +61,30 @@ def run_settings(content: Any) -> Any:
     }
 
 
-def _with_network(agent: Any) -> Any:
-    """PPO's settings; once its critic always read what the actor reads, in products of float32."""
-    network = agent.get("network", {}) if isinstance(agent, Mapping) else None
-    if not isinstance(network, Mapping) or agent.get(settings_tree.KIND) != settings_tree.address(PPO):
+def _agent(agent: Any) -> Any:
+    """An agent's settings; what is of neither PPO nor Ape-X, or no dictionary, as it is."""
+    if not isinstance(agent, Mapping):
         return agent
-    return {**agent, "network": {"critic": "observation", "precision": "float32", **network}}
+    kind, network = agent.get(settings_tree.KIND), agent.get("network", {})
+    if kind == settings_tree.address(PPO) and isinstance(network, Mapping):
+        # Once its critic always read what the actor reads, in products of float32.
+        return {**agent, "network": {"critic": "observation", "precision": "float32", **network}}
+    if kind == settings_tree.address(Apex) and "decay_updates" in agent:
+        return _with_decay_steps(dict(agent))
+    return agent
+
+
+def _with_decay_steps(agent: dict[str, Any]) -> dict[str, Any]:
+    """Ape-X's rate once fell over a number of updates, not of environment steps."""
+    updates, default = agent.pop("decay_updates"), Apex()
+    if updates is None:
+        return {**agent, "decay_steps": None}
+    batch_size, ratio = (agent.get(name, getattr(default, name)) for name in ("batch_size", "replay_ratio"))
+    steps = updates  # as wrong as it was, where one of them is no number
+    if all(isinstance(number, int | float) for number in (updates, batch_size, ratio)):
+        with contextlib.suppress(OverflowError, ValueError, ZeroDivisionError):
+            steps = round(updates * batch_size / ratio)
+    return {**agent, "decay_steps": steps}
 
 
 def _has_unused_table(run: Any) -> bool:

@@ -25,6 +25,8 @@ MOST = {
     "hidden": 2**14,
     "trunk": 2**14,
     "head": 2**14,
+    "memory_size": 2**14,
+    "memory_stride": 2**14,
     "episodes": MAX_EPISODES,
     "max_steps": 10**6,
 }

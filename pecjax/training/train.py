@@ -50,7 +50,7 @@ def train(
         with synchronized(settings):
             check_settings(settings)
             _check(sinks)
-            num_devices = choose_num_devices(devices, settings.agent.device_divisor)
+            num_devices = choose_num_devices(devices, settings.agent.device_divisor, settings.agent.divided)
             check_free(folder)
             build(settings, num_devices)
         with synchronized():
@@ -87,7 +87,7 @@ def resume(
             before = directory.num_devices()
             if devices is None and jax.process_count() == 1 and (before or 0) <= len(jax.devices()):
                 devices = before
-            num_devices = choose_num_devices(devices, settings.agent.device_divisor)
+            num_devices = choose_num_devices(devices, settings.agent.device_divisor, settings.agent.divided)
         return _go(settings, directory, num_devices, sinks, is_resumed=True)
 
 
@@ -138,7 +138,9 @@ def _introduce(
 ) -> None:
     """Prints what is trained, and on which devices."""
     agent, num_devices, available = settings.agent, run.mesh.devices.size, len(jax.devices())
-    advice = "" if is_resumed else advice_on_idle_devices(agent.num_envs, agent.device_divisor, num_devices)
+    advice = ""
+    if not is_resumed:
+        advice = advice_on_idle_devices(agent.num_envs, agent.device_divisor, agent.divided, num_devices)
     on = f"{num_devices} of {available} devices{advice}" if available > 1 else "1 device"
     progress.say(f"{directory.folder}: {agent.num_envs} environments on {on}")
     for line in notices:

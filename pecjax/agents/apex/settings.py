@@ -27,8 +27,8 @@ class Apex(AgentSettings):
         learning_starts: environment steps before the first update.
         target_period: the target network is copied after training on more than this many transitions.
         learning_rate, adam_eps, max_grad_norm: of Adam, with a bound on each array's gradient.
-        decay_updates: updates over which the learning rate falls linearly to a tenth, where it stays; None
-            for a constant rate.
+        decay_steps: environment steps, from the first update on, over which the learning rate falls
+            linearly to a tenth, where it stays; None for a constant rate.
         huber_delta: the absolute TD error above which the loss is linear.
         reward_scale: the learner's rewards are multiplied by this.
         network, replay: their settings.
@@ -45,7 +45,7 @@ class Apex(AgentSettings):
     learning_starts: int = 16_384
     target_period: int = 100_000
     learning_rate: float = 2e-4
-    decay_updates: int | None = 11_200
+    decay_steps: int | None = 5_734_400
     adam_eps: float = 1e-8
     max_grad_norm: float = 40.0
     huber_delta: float = 1.0
@@ -81,8 +81,13 @@ class Apex(AgentSettings):
 
     @property
     def device_divisor(self) -> int:
-        """What devices must divide: the replay's shards."""
+        """See `AgentSettings`."""
         return self.replay.num_shards
+
+    @property
+    def divided(self) -> str:
+        """What devices share evenly."""
+        return "replay shards"
 
     def with_envs(self, num_envs: int) -> Apex:
         """The same with another number of environments, and as many steps between updates."""

@@ -12,6 +12,7 @@ from pecjax.agents.apex import replay
 from pecjax.agents.apex.q_network import QNetwork, action_values
 from pecjax.agents.apex.replay import Replay
 from pecjax.agents.apex.settings import Apex
+from pecjax.agents.rates import falling_rate
 from pecjax.agents.sharding import device_mean, env_keys, global_ids
 
 
@@ -47,9 +48,8 @@ def make_optimizer(settings: Apex) -> optax.GradientTransformation:
         return gradient * jnp.minimum(1.0, settings.max_grad_norm / jnp.maximum(norm, 1e-12))
 
     clip = optax.stateless(lambda gradients, _: jax.tree.map(bound, gradients))
-    rate: optax.ScalarOrSchedule = settings.learning_rate
-    if settings.decay_updates is not None:
-        rate = optax.linear_schedule(rate, 0.1 * rate, settings.decay_updates)
+    updates = settings.replay_ratio / settings.batch_size
+    rate = falling_rate(settings.learning_rate, settings.decay_steps, updates)
     return optax.chain(clip, optax.adam(rate, eps=settings.adam_eps))
 
 

@@ -16,7 +16,7 @@ from pecjax.agents.networks import ActorCritic, decide, forward
 from pecjax.agents.observations import encode, flatten, image_shapes, in_order
 from pecjax.agents.ppo.settings import PPO
 from pecjax.agents.ppo.signals import step_signal
-from pecjax.agents.ppo.update import Learner, make_optimizer, prepare, update
+from pecjax.agents.ppo.update import Flown, Learner, make_optimizer, prepare, update
 from pecjax.agents.rollout import Policy, Seen, init_rollout, rollout, see
 from pecjax.agents.sharding import global_ids
 from pecjax.curriculum.base import Sampler, count_outcomes
@@ -83,7 +83,7 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
             drawn = distribution.draw(params, noise)
             if settings.network.precision == "bfloat16":
                 features = features.astype(jnp.bfloat16)  # as the products take them
-            return distribution.action(drawn), after, (features, known, memory, drawn, params, value)
+            return distribution.action(drawn), after, Flown(features, known, drawn, params, value)
 
         def value(seen: Seen) -> jax.Array:
             features, known, memory = read(seen)
@@ -99,6 +99,7 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
             key_rollout,
             global_ids(state.envs.running.length.shape[0], axis_name),
             settings.num_steps,
+            settings.steps_of_a_sequence if settings.has_memory else None,
         )
         last_value = value(see(task, world, envs))
         batch = prepare(settings, distribution, trajectory, last_value, axis_name)

@@ -79,8 +79,8 @@ def _in_sequences(settings: PPO, leaf: jax.Array, envs: jax.Array) -> jax.Array:
     """Of (T, B, …) the minibatches (M, L × sequences, …): each environment's T steps cut into sequences."""
     sequences = settings.num_steps // settings.steps_of_a_sequence  # of each environment
     # (T/L, L, M, envs, …) -> (M, L, T/L, envs, …), where the memory has one step of each sequence
-    cut = leaf.reshape(sequences, -1, *leaf.shape[1:])[:, :, envs]
-    return jnp.moveaxis(cut, (2, 1), (0, 1)).reshape(envs.shape[0], -1, *leaf.shape[2:])
+    parts = leaf.reshape(sequences, -1, *leaf.shape[1:])[:, :, envs]
+    return jnp.moveaxis(parts, (2, 1), (0, 1)).reshape(envs.shape[0], -1, *leaf.shape[2:])
 
 
 def _own_share(rows: jax.Array, axis_name: str) -> jax.Array:

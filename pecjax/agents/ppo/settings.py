@@ -73,7 +73,7 @@ class PPO(AgentSettings):
     @property
     def steps_of_a_sequence(self) -> int:
         """L, of `sequence_length`."""
-        return self.sequence_length or self.num_steps
+        return self.num_steps if self.sequence_length is None else self.sequence_length
 
     @property
     def rows(self) -> int:
@@ -84,8 +84,19 @@ class PPO(AgentSettings):
 
     @property
     def device_divisor(self) -> int:
-        """What the number of devices must divide: the environments, those of a minibatch with a memory."""
+        """See `AgentSettings`."""
         return self.num_envs // self.num_minibatches if self.has_memory else self.num_envs
+
+    @property
+    def divided(self) -> str:
+        """What devices share evenly: with a memory each has a part of every minibatch's sequences."""
+        return "environments of each minibatch" if self.has_memory else "environments"
+
+    @property
+    def memory_bytes(self) -> int:
+        """The memory of every environment, and that before each sequence, which is in minibatches too."""
+        sequences = self.num_steps // self.steps_of_a_sequence
+        return 4 * self.network.memory_numbers * self.num_envs * (1 + 2 * sequences)
 
     @property
     def observations_held(self) -> int:
@@ -111,11 +122,13 @@ class PPO(AgentSettings):
         if self.decay_steps is not None and self.decay_steps < 1:
             raise InputError(f"decay-steps is {self.decay_steps}; give 1 or more, or none")
         network = self.network
+        if self.has_memory and min(self.steps_of_a_sequence, network.memory_size) < 1:
+            raise InputError("sequence-length and memory-size must each be 1 or more")
         if network.memory == "stack" and not 1 <= network.memory_stride <= network.memory_size:
             raise InputError(
                 f"memory-stride is {network.memory_stride}; give 1 to memory-size, {network.memory_size}"
             )
-        if self.num_steps % self.steps_of_a_sequence:
+        if self.has_memory and self.num_steps % self.steps_of_a_sequence:
             raise InputError(
                 f"sequences of {self.sequence_length} do not divide {self.num_steps} steps; change either"
             )

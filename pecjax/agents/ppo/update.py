@@ -12,6 +12,7 @@ from pecjax.agents.distributions import Distribution
 from pecjax.agents.networks import ActorCritic, forward
 from pecjax.agents.ppo.minibatches import cut
 from pecjax.agents.ppo.settings import PPO
+from pecjax.agents.rates import falling_rate
 from pecjax.agents.returns import generalized_advantage, with_bootstrap
 from pecjax.agents.rollout import Trajectory
 from pecjax.agents.sharding import device_mean
@@ -25,6 +26,16 @@ class Learner(NamedTuple):
     params: Any
     optimizer: Any
     kl_coeff: jax.Array
+
+
+class Flown(NamedTuple):
+    """What is kept of every step of a rollout (`Trajectory.extras`); each as in `Batch`."""
+
+    features: jax.Array
+    known: jax.Array | None
+    drawn: jax.Array
+    params: jax.Array
+    value: jax.Array
 
 
 class Batch(NamedTuple):
@@ -56,20 +67,12 @@ class Batch(NamedTuple):
 
 def make_optimizer(settings: PPO) -> optax.GradientTransformation:
     """Adam, behind a bound on the gradient's norm if there is one."""
-    adam = optax.adam(learning_rate(settings), eps=settings.adam_eps)
+    updates = settings.num_epochs * settings.num_minibatches / (settings.num_envs * settings.num_steps)
+    rate = falling_rate(settings.learning_rate, settings.decay_steps, updates)
+    adam = optax.adam(rate, eps=settings.adam_eps)
     if settings.max_grad_norm is None:
         return adam
     return optax.chain(optax.clip_by_global_norm(settings.max_grad_norm), adam)
-
-
-def learning_rate(settings: PPO) -> optax.ScalarOrSchedule:
-    """Constant, or falling update by update."""
-    rate = settings.learning_rate
-    if settings.decay_steps is None:
-        return rate
-    updates = settings.num_epochs * settings.num_minibatches  # of num_envs · num_steps environment steps
-    falling = settings.decay_steps * updates // (settings.num_envs * settings.num_steps)
-    return optax.linear_schedule(rate, 0.1 * rate, max(1, falling))
 
 
 def prepare(
@@ -80,7 +83,7 @@ def prepare(
     axis_name: str | None,
 ) -> Batch:
     """Advantages, standardised over the whole batch, and value targets; leaves (T, B, …)."""
-    features, known, memory, drawn, params, value = trajectory.extras
+    features, known, drawn, params, value = trajectory.extras  # Flown
     advantage = generalized_advantage(
         scaled_reward(settings, trajectory),
         value,
@@ -94,11 +97,10 @@ def prepare(
     deviation = jnp.sqrt(device_mean(jnp.square(advantage - mean).mean(), axis_name))
     advantage = (advantage - mean) / jnp.maximum(1e-4, deviation)
     log_prob = distribution.log_prob(params, drawn)
-    starts = None
+    memory, starts = trajectory.memory, None
     if memory is not None:
         done = trajectory.done
         starts = jnp.concatenate([jnp.zeros_like(done[:1]), done[:-1]])
-        memory = memory[:: settings.steps_of_a_sequence]
     return Batch(features, known, None, drawn, params, log_prob, value, advantage, target, memory, starts)
 
 
