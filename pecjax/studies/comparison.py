@@ -59,7 +59,8 @@ def relative(ours: np.ndarray, theirs: np.ndarray) -> Relative:
     if pairs > 1:
         error = float(stats.sem(logs))
         low, high = stats.t.interval(CONFIDENCE, pairs - 1, mean, error) if error else (mean, mean)
-    return Relative(*(float(np.expm1(log)) for log in (mean, low, high)), sign_flip_p(logs), pairs)
+    value, low, high = (float(np.expm1(log)) for log in (mean, low, high))
+    return Relative(value, low, high, sign_flip_p(logs), pairs)
 
 
 def holm(p_values: np.ndarray) -> np.ndarray:
