@@ -21,7 +21,7 @@ from matplotlib.lines import Line2D
 
 from pecjax.envs.task import take_configs
 from pecjax.plotting.maps import draw_places, floor_plan
-from pecjax.plotting.style import COLORS, PAGE, SMALL, STYLE, legend_below
+from pecjax.plotting.style import BLUE, PAGE, RED, SMALL, STYLE, legend_below
 from pecjax.training.build import Run
 from pecjax.training.evaluation import EvalResult
 from pecjax.training.load import open_run
@@ -29,7 +29,7 @@ from pecjax.viewing.recording import map_of
 
 HERE = Path(__file__).parent
 DPI = 200
-LABELS, LINES = ("No memory", "Memory"), COLORS[:2]  # as in memory_pictures.py
+LABELS, LINES = ("No memory", "Memory"), (RED, BLUE)  # as in memory_pictures.py
 
 
 def fly(folder: Path) -> tuple[Run, EvalResult]:

@@ -17,13 +17,21 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy import stats
 
-from pecjax.plotting.style import COLORS, PAGE, STYLE
+from pecjax.plotting.style import BLUE, PAGE, RED, STYLE, TEAL, YELLOW
 
 HERE = Path(__file__).parent
 TABLE = HERE / "results" / "memory-floorplans.csv"
-# By the name of their runs' folders.
-NETWORKS = {"mlp": "no memory", "mingru": "minGRU"}
-BUDGET = 540  # s, that every run has had
+# By the name of their runs' folders: what they are, and seconds that every run has had.
+NETWORKS = {
+    "mlp": ("no memory", 540),
+    "mingru": ("minGRU", 540),
+    "mlp-falling": ("no memory, falling rate", 900),
+    "mingru-falling": ("minGRU, falling rate", 900),
+    "above": ("shown the map", 540),
+    "guided": ("shown the way", 540),
+}
+PAIRS = (("mlp", "mingru"), ("mlp-falling", "mingru-falling"))
+LOOKS = ((RED, "-"), (BLUE, "-"), (RED, ":"), (BLUE, ":"), (YELLOW, "-"), (TEAL, "-"))
 DPI = 200
 
 
@@ -43,7 +51,8 @@ def collect(folder: Path) -> pd.DataFrame:
 
 def ends(table: pd.DataFrame, column: str = "goal_ratio", last: int = 3) -> pd.DataFrame:
     """The mean of each run's last evaluations within the budget, a row a seed and a column a network."""
-    of_run = table[table.seconds <= BUDGET].groupby(["seed", "network"])[column]
+    budget = table.network.map({name: seconds for name, (_, seconds) in NETWORKS.items()})
+    of_run = table[table.seconds <= budget].groupby(["seed", "network"])[column]
     return of_run.apply(lambda values: values.tail(last).mean()).unstack()
 
 
@@ -52,16 +61,17 @@ def curves(table: pd.DataFrame) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(PAGE, 2.6), layout="constrained")
         panels = figure.subplots(1, 2, sharey=True)
-        for (network, label), color in zip(NETWORKS.items(), COLORS, strict=False):
+        for (network, (label, _)), (color, dashes) in zip(NETWORKS.items(), LOOKS, strict=True):
             for number, (_, run) in enumerate(table[table.network == network].groupby("seed")):
+                style = {"color": color, "linestyle": dashes, "label": label if number == 0 else None}
                 for axes, along in zip(panels, (run.env_steps / 1e6, run.seconds / 60), strict=True):
-                    axes.plot(along, run.goal_ratio, color=color, label=label if number == 0 else None)
+                    axes.plot(along, run.goal_ratio, **style)
         for axes, name in zip(panels, ("million steps", "minutes of one core"), strict=True):
             axes.set(xlabel=name, ylim=(0, 1), xlim=(0, None))
             axes.set_yticks(np.linspace(0, 1, 6))
             axes.grid()
         panels[0].set_ylabel("goal ratio in plans held out")
-        panels[1].legend(loc="lower right")
+        panels[1].legend(loc="lower right", ncols=2)
     return figure
 
 
@@ -76,9 +86,10 @@ def main(words: list[str] | None = None) -> None:
     table = pd.read_csv(TABLE)
     reached = ends(table)
     print(reached.round(3))
-    difference = reached.mingru - reached.mlp
-    low, high = stats.t.interval(0.95, len(difference) - 1, difference.mean(), stats.sem(difference))
-    print(f"mingru - mlp: {difference.mean():.3f} [{low:.3f}, {high:.3f}]")
+    for without, remembers in PAIRS:
+        difference = (reached[remembers] - reached[without]).dropna()
+        low, high = stats.t.interval(0.95, len(difference) - 1, difference.mean(), stats.sem(difference))
+        print(f"{remembers} - {without}: {difference.mean():.3f} [{low:.3f}, {high:.3f}]")
     print("million steps", (ends(table, "env_steps", last=1) / 1e6).round(0).to_dict("list"))
     for column in ("spl", *(name for name in table if name.startswith("goal_ratio."))):
         print(column, ends(table, column).mean().round(2).to_dict())

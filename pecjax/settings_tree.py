@@ -14,7 +14,7 @@ import importlib.metadata
 import inspect
 import pkgutil
 from collections.abc import Iterator, Mapping
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import cattrs
 from cattrs.gen import make_dict_structure_fn
@@ -100,11 +100,21 @@ def _set(tree: Any, names: list[str], path: str, value: Any) -> Any:
         try:
             if isinstance(value, str) and _takes_several(declared):
                 raise TypeError("text is no sequence of values")
-            new = _converter().structure(value, declared)
+            # As a list's item: alone, a Literal would raise what is no BaseValidationError.
+            (new,) = _converter().structure([value], list[declared])
         except (ValueError, TypeError, cattrs.BaseValidationError) as error:
-            name = getattr(declared, "__name__", str(declared))
-            raise InputError(f"{path} is {value!r}; it takes {name}") from error
+            raise InputError(f"{path} is {value!r}; it takes {_in_words(declared)}") from error
     return dataclasses.replace(tree, **{first: new})
+
+
+def _in_words(declared: Any) -> str:
+    """A type as a user may read it."""
+    parts = get_args(declared)
+    if get_origin(declared) is Literal:
+        return " or ".join(map(str, parts))
+    if type(None) in parts:
+        return " or ".join([*(_in_words(part) for part in parts if part is not type(None)), "none"])
+    return getattr(declared, "__name__", str(declared))
 
 
 def _takes_several(declared: Any) -> bool:

@@ -63,6 +63,7 @@ def test_what_differs_in_numbers_of_the_sampler_alone_shares_a_program():
         (("sampler.floor", "0.05", "0.5"), FLOORS),
         (("task.goal-radius", "0.3", "1"), ("task.goal_radius", (0.3, 1.0))),
         (("sampler", "pec", OWN), ("sampler", ("pec", OWN))),
+        (("agent.network.memory", "none", "gru"), ("agent.network.memory", (None, "gru"))),
     ],
 )
 def test_words_are_values_of_the_settings_type(words, found):
@@ -77,6 +78,13 @@ def test_words_are_values_of_the_settings_type(words, found):
         (["--grid", "task.task_kind", "x"], "no setting task.task_kind"),
         (["--grid", "agent.learning_rate", "fast"], "agent.learning_rate is 'fast'; it takes float"),
         (["--grid", "agent.network.hidden", "64"], "agent.network.hidden is '64'"),
+        (["--grid", "agent.shuffle", "steps", "rows"], "agent.shuffle is 'rows'; it takes steps or samples"),
+        (
+            ["--grid", "agent.network.memory", "lstm"],
+            "agent.network.memory is 'lstm'; it takes gru or mingru or stack or none",
+        ),
+        (["--grid", "agent.num_epochs", "none", "2"], "agent.num_epochs is None; it takes int"),
+        (["--grid", "sampler", "none"], "unknown sampler 'none'"),
         (["--grid", "agent.learning_rate", "1e-4", "1e-4"], "names 0.0001 more than once"),
         (
             ["--grid", "agent.clip_epsilon", "0.1", "--grid", "agent.clip_epsilon", "0.2"],

@@ -200,16 +200,17 @@ def read_grid(run: RunSettings, samplers: tuple[str, ...], words: tuple[str, ...
     """
     if len(words) < 2:
         raise InputError(f"grid: '{' '.join(words)}' has no values; give a path and what it is tried with")
-    path, *values = (words[0].replace("-", "_"), *words[1:])
+    path = words[0].replace("-", "_")
     if path in ("task", "agent"):
         raise InputError(f"grid: all runs of a study share their {path}; give it with --{path}")
     if path == "sampler":
-        return path, tuple(kind_name(override(run, sampler=name).sampler) for name in values)
+        return path, tuple(kind_name(override(run, sampler=name).sampler) for name in words[1:])
     for name in samplers:  # the first that has it, else the error of the last
         tried = override(run, sampler=name)
         if path in dict(settings_tree.leaves(tried)):
             break
     else:
         tried = override(run, sampler=samplers[0])
+    values = [None if word == "none" else word for word in words[1:]]
     taken = [dict(settings_tree.leaves(settings_tree.set_path(tried, path, value)))[path] for value in values]
     return path, tuple(taken)
