@@ -24,9 +24,8 @@ from pecjax.commands.spaces import Spaces
 from pecjax.commands.study import Study
 from pecjax.commands.train import Train
 from pecjax.commands.watch import Watch
-from pecjax.errors import DivergedError, InputError, LostProcessError, StoppedError
+from pecjax.errors import DivergedError, InputError, LostProcessError, StoppedError, nearest
 from pecjax.runtime import devices
-from pecjax.settings_tree import nearest
 
 _HELP = """\
 usage: pecjax COMMAND [OPTIONS]

@@ -1,6 +1,8 @@
-"""Errors with causes outside pecjax: bad input, a stop, a lost process, divergence."""
+"""Errors with causes outside pecjax: bad input, a stop, a lost process, divergence; a hint for messages."""
 
+import difflib
 import signal
+from collections.abc import Iterable
 
 MAX_LENGTH = 1000
 
@@ -37,3 +39,9 @@ class LostProcessError(RuntimeError):
 
 class DivergedError(ArithmeticError):
     """A loss, the parameters or the physics are no longer finite; the message says which and when."""
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """A hint at the word that was meant, if any is near."""
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return f" (did you mean {near[0]}?)" if near else ""

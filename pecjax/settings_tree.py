@@ -7,7 +7,6 @@ A kind is a subclass that a field of its base class may hold: of `SamplerSetting
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import functools
 import importlib
 import importlib.metadata
@@ -19,7 +18,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 import cattrs
 from cattrs.gen import make_dict_structure_fn
 
-from pecjax.errors import InputError
+from pecjax.errors import InputError, nearest
 
 T = TypeVar("T")
 KIND = "kind"  # the key of a kind's address in JSON
@@ -109,12 +108,9 @@ def _set(tree: Any, names: list[str], path: str, value: Any) -> Any:
 
 def _in_words(declared: Any) -> str:
     """A type as a user may read it."""
-    parts = get_args(declared)
-    if get_origin(declared) is Literal:
-        return " or ".join(map(str, parts))
-    if type(None) in parts:
-        return " or ".join([*(_in_words(part) for part in parts if part is not type(None)), "none"])
-    return getattr(declared, "__name__", str(declared))
+    if get_origin(declared) is Literal or type(None) in get_args(declared):
+        return " or ".join(map(_in_words, get_args(declared)))
+    return "none" if declared is type(None) else getattr(declared, "__name__", str(declared))
 
 
 def _takes_several(declared: Any) -> bool:
@@ -173,12 +169,6 @@ def differences(before: Any, now: Any, name: str = "") -> Iterator[str]:
 def _in_short(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
-
-
-def nearest(word: str, known: list[str]) -> str:
-    """A hint at the word that was meant, if any is near."""
-    near = difflib.get_close_matches(word, known, n=1)
-    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def _only_kind(module: str, base: type[T]) -> type[T] | None:

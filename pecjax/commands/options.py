@@ -13,7 +13,7 @@ from typing import Annotated, Any, TypeVar
 import tyro
 
 from pecjax import settings_tree
-from pecjax.errors import InputError
+from pecjax.errors import InputError, nearest
 
 T = TypeVar("T")
 
@@ -58,12 +58,12 @@ def _one_line(complaint: str, known: list[str]) -> str:
     below = itertools.dropwhile(lambda line: not words(line), lines[1:])
     line = " ".join(itertools.takewhile(words, below)) or " ".join(lines)
     if found := re.fullmatch(r"Unrecognized or misplaced options: (--\S+).*", line):
-        return f"unknown option {found[1]}{settings_tree.nearest(found[1], known)}"
+        return f"unknown option {found[1]}{nearest(found[1], known)}"
     if found := re.fullmatch(r"Unrecognized options: (.*)", line):
         given = found[1].split(", ")
         unknown = next((word for word in given if word.startswith("-")), None)
         if unknown:
-            return f"unknown option {unknown}{settings_tree.nearest(unknown, known)}"
+            return f"unknown option {unknown}{nearest(unknown, known)}"
         return f"unexpected '{given[0]}'"
     if found := re.fullmatch(r"Error parsing (\S+): no type matching (\S+) .* from \[(.*)\]\.", line):
         return f"{found[1]} takes {_TAKES.get(found[2], found[2])}, not {found[3]}"

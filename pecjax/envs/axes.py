@@ -8,8 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from pecjax.errors import InputError
-from pecjax.settings_tree import nearest
+from pecjax.errors import InputError, nearest
 
 Table = TypeVar("Table")
 _KEY = "axis"

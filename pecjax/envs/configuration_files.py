@@ -10,8 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from pecjax.envs import axes
-from pecjax.errors import InputError
-from pecjax.settings_tree import nearest
+from pecjax.errors import InputError, nearest
 
 Table = TypeVar("Table")
 _WORD = re.compile(r"(?!(nan|inf|infinity)$)[a-z_]\w*")  # and no number

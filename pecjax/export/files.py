@@ -7,13 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from pecjax.errors import InputError
+from pecjax.errors import InputError, nearest
 from pecjax.export.description import describe
 from pecjax.export.jax_program import jax_program
 from pecjax.export.onnx_graph import onnx_model
 from pecjax.export.policy import Policy, policy_of
 from pecjax.runtime.extras import require
-from pecjax.settings_tree import nearest
 from pecjax.storage.files import json_text, replace_file, writing
 from pecjax.training.demos import find_run, is_demo
 from pecjax.training.load import open_run

@@ -9,8 +9,7 @@ from pecjax.agents.apex.q_network import QNetworkSettings
 from pecjax.agents.apex.replay import ReplaySettings
 from pecjax.agents.networks import NetworkSettings
 from pecjax.envs.rooms.settings import Rooms
-from pecjax.errors import InputError
-from pecjax.settings_tree import nearest
+from pecjax.errors import InputError, nearest
 from pecjax.training.kinds import kind_name, make_kind
 from pecjax.training.settings import EvaluationSettings, RunSettings, StopSettings
 

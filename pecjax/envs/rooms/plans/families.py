@@ -7,8 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pecjax.errors import InputError
-from pecjax.settings_tree import nearest
+from pecjax.errors import InputError, nearest
 
 MAX_BOXES = 64
 WALL = 0.2  # m thick

@@ -26,8 +26,7 @@ from pecjax.envs.rooms.spaces.pairs import (
     table_lengths,
 )
 from pecjax.envs.rooms.spaces.space import Part, Space
-from pecjax.errors import InputError
-from pecjax.settings_tree import nearest
+from pecjax.errors import InputError, nearest
 
 LEAST = 3.0  # m between start and goal
 FAR = 8.0  # m between start and goal of hard pairs
