@@ -91,7 +91,12 @@ def main(words: list[str] | None = None) -> None:
         low, high = stats.t.interval(0.95, len(difference) - 1, difference.mean(), stats.sem(difference))
         print(f"{remembers} - {without}: {difference.mean():.3f} [{low:.3f}, {high:.3f}]")
     print("million steps", (ends(table, "env_steps", last=1) / 1e6).round(0).to_dict("list"))
-    for column in ("spl", *(name for name in table if name.startswith("goal_ratio."))):
+    for column in (
+        "spl",
+        "timeout",
+        "collision",
+        *(name for name in table if name.startswith("goal_ratio.")),
+    ):
         print(column, ends(table, column).mean().round(2).to_dict())
     with matplotlib.rc_context(STYLE):
         curves(table).savefig(given.out / "memory-floorplans.png", dpi=DPI)

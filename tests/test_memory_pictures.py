@@ -32,14 +32,12 @@ def test_the_page_has_the_ends_of_the_table():
 
 
 def test_the_page_has_the_runs_in_one_map():
+    page = (DOCS / "memory.md").read_text()
     runs = pd.read_csv(DOCS / "results" / "memory-pairs-runs.csv")
     names = {"none": "none", "gru": "GRU", "mingru": "minGRU", "stack": "stack"}
     for memory, of in runs.groupby(runs["agent.network.memory"].fillna("none")):
         ends = ", ".join(f"{ratio:.3f}" for ratio in of.sort_values("seed").goal_ratio)
-        assert (
-            f"| {names[memory]} | {ends} | {of.area_under_curve.mean():.3f} |"
-            in (DOCS / "memory.md").read_text()
-        )
+        assert f"| {names[memory]} | {ends} | {of.area_under_curve.mean():.3f} |" in page
 
 
 def test_runs_are_collected_with_their_seconds(tmp_path):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pecjax.agents.apex.q_network import QNetworkSettings
 from pecjax.agents.apex.replay import ReplaySettings
 from pecjax.agents.base import Agent, AgentSettings
+from pecjax.agents.rates import check_decay
 from pecjax.curriculum.base import Sampler
 from pecjax.envs.task import Task
 from pecjax.errors import InputError
@@ -96,6 +97,7 @@ class Apex(AgentSettings):
 
     def check(self) -> None:
         """Raises InputError where the numbers do not fit one another."""
+        check_decay(self.decay_steps)
         shards, steps = self.replay.num_shards, self.rollout_length * self.num_envs
         if min(self.num_envs, self.num_steps, self.num_actors, self.rollout_length, self.n_step, shards) < 1:
             raise InputError(

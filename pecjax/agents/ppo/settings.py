@@ -7,6 +7,7 @@ from typing import Literal
 
 from pecjax.agents.base import Agent, AgentSettings
 from pecjax.agents.networks import NetworkSettings
+from pecjax.agents.rates import check_decay
 from pecjax.curriculum.base import Sampler
 from pecjax.envs.task import Task
 from pecjax.errors import InputError
@@ -119,8 +120,7 @@ class PPO(AgentSettings):
             raise InputError("environments, steps, epochs and minibatches must each be 1 or more")
         if self.has_memory and self.shuffle == "samples":
             raise InputError("a network with a memory learns from sequences; leave shuffle at 'steps'")
-        if self.decay_steps is not None and self.decay_steps < 1:
-            raise InputError(f"decay-steps is {self.decay_steps}; give 1 or more, or none")
+        check_decay(self.decay_steps)
         network = self.network
         if self.has_memory and min(self.steps_of_a_sequence, network.memory_size) < 1:
             raise InputError("sequence-length and memory-size must each be 1 or more")
