@@ -37,7 +37,12 @@ def test_cvar_of_equal_configurations_is_biased_and_the_other_is_not():
     config_id = np.repeat(np.arange(100), 10)
     for _ in range(60):
         result = flights(config_id, draw.random(1000) < 0.7)
-        found.append((unbiased_cvar(result, 100), cvar(result.success.reshape(100, 10).mean(axis=1))))
+        found.append(
+            (
+                unbiased_cvar(result.config_id, result.success, 100),
+                cvar(result.success.reshape(100, 10).mean(axis=1)),
+            )
+        )
     unbiased, biased = np.mean(found, axis=0)
     assert abs(unbiased - 0.7) < 3 * np.std(found, axis=0)[0] / np.sqrt(60) + 1e-3
     assert biased < 0.5
@@ -45,8 +50,8 @@ def test_cvar_of_equal_configurations_is_biased_and_the_other_is_not():
 
 def test_cvar_finds_those_that_always_fail():
     config_id = np.repeat(np.arange(20), 4)
-    assert unbiased_cvar(flights(config_id, config_id >= 2), 20) == 0
-    assert unbiased_cvar(flights(np.arange(20), np.ones(20)), 20) is None, "one episode each"
+    assert unbiased_cvar(config_id, config_id >= 2, 20) == 0
+    assert unbiased_cvar(np.arange(20), np.ones(20), 20) is None, "one episode each"
 
 
 def test_the_interval_is_wilsons():

@@ -8,7 +8,7 @@ import pytest
 from synthetic import study_settings, write_study
 from test_settings_tree import OWN
 
-from pecjax import InputError, cli
+from pecjax import InputError, cli, settings_tree
 from pecjax.curriculum import SamplerSettings, uniform
 from pecjax.plotting import study as study_figures
 from pecjax.studies import report as study_report
@@ -52,6 +52,24 @@ def test_what_differs_in_numbers_of_the_sampler_alone_shares_a_program():
         assert all(dict(alike).items() <= dict(member.values).items() for member in group)
         names = {tuple(numbers(member)) for member in group}
         assert names == {{"pec": ("alpha",), OWN: ("floor",), "uniform": ()}[dict(alike)["sampler"]]}
+
+
+def test_settings_that_are_tried_together_are_tried_with_all_of_the_grid():
+    together = ((("sampler", "uniform"),), (("sampler", "pec"), ("sampler.alpha", 0.1)), (("sampler", OWN),))
+    study = replace(GRID, grid=(RATES,), conditions=together, seeds=(3,))
+    study.check()
+    runs = [dict(member.values) for group in study.groups() for member in group]
+    expected = [dict(values) | {"agent.learning_rate": rate} for values in together for rate in RATES[1]]
+    assert sorted(map(str, runs)) == sorted(str(of_run) for of_run in expected)
+    assert study.paths() == ["agent.learning_rate", "sampler", "sampler.alpha"]
+    assert study.values_of("sampler") == ("uniform", "pec", OWN) and study.values_of("sampler.alpha") == (
+        0.1,
+    )
+    assert settings_tree.from_json(settings_tree.to_json(study), StudySettings) == study
+    with pytest.raises(InputError, match="sampler name a setting twice"):
+        replace(study, grid=(SAMPLERS,)).check()
+    with pytest.raises(InputError, match=r"none of uniform has sampler.alpha"):
+        replace(study, conditions=((("sampler", "uniform"), ("sampler.alpha", 0.1)),)).check()
 
 
 @pytest.mark.parametrize(

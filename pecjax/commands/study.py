@@ -17,6 +17,7 @@ from pecjax.commands import settings_args
 from pecjax.commands.drawing import draw
 from pecjax.commands.options import Floats, Option, Rest, Strings
 from pecjax.errors import DivergedError, InputError
+from pecjax.studies import benchmark
 from pecjax.studies.catalogue import OWN, find_study
 from pecjax.studies.directory import StudyDirectory
 from pecjax.studies.grid import StudySettings, read_grid
@@ -25,6 +26,7 @@ from pecjax.training.kinds import has_alpha, kind_name
 from pecjax.training.presets import PRESETS, find_preset
 from pecjax.training.settings import RunSettings, override
 
+REPORT = "report"
 # Of a study that is none of the paper's.
 OWN_GRID = (("sampler", ("pec", "uniform")), ("sampler.alpha", (0.2,)))
 
@@ -37,9 +39,12 @@ class Study:
 
     Attributes:
         name: one of the paper's experiments: fig4 (PPO, set 1), fig8 (set 2), fig11 (α) or
-            fig14 (Ape-X). (default: a grid of your own)
+            fig14 (Ape-X); samplers, the benchmark of docs/benchmark.md, or one space of it, as
+            samplers-rooms-pairs; or report, which writes that of a benchmark in the folder --out again.
+            (default: a grid of your own)
         scale: of a named study: smoke (seconds, to try it), laptop (our presets, for two cores) or
-            paper (its iteration counts and RLlib's settings). (default: laptop)
+            paper (its iteration counts and RLlib's settings); of the benchmark smoke, laptop (three seeds),
+            full or screening. (default: laptop)
         preset: the settings all runs share. (default: the study's; for a grid of your own, fast)
         samplers: pec, uniform, table_top or others of docs/samplers.md, or your own as my.module:Class.
             (default: the study's, or pec and uniform)
@@ -53,7 +58,8 @@ class Study:
         parallel_runs: runs in one program. (default: as many as there are devices)
         grid: another setting to vary, and its values: agent.learning_rate 1e-4 3e-4, or sampler.half_life 3
             10; may be given several times.
-        out: the study's folder. (default: studies/NAME-SCALE, or studies/own)
+        out: the study's folder. (default: studies/NAME-SCALE, or studies/own; of the benchmark
+            studies/samplers-SCALE, with a folder for each space)
         settings: options by their dotted paths (see `settings_args`).
     """
 
@@ -75,8 +81,31 @@ class Study:
 
     def run(self) -> None:
         """Trains, summarizes and draws."""
-        default = f"{self.name}-{self.scale or 'laptop'}" if self.name else OWN
-        folder = self.out or Path("studies") / default
+        if self.name == REPORT:
+            print(_benchmark_report(self.out or benchmark.folder(benchmark.BENCHMARK, self._scale())))
+        elif self.name == benchmark.BENCHMARK:
+            self._run_benchmark()
+        else:
+            self._run_study()
+
+    def _scale(self) -> str:
+        return self.scale or "laptop"
+
+    def _run_benchmark(self) -> None:
+        """All of its studies, one after another, and their report."""
+        folder, diverged = self.out or benchmark.folder(benchmark.BENCHMARK, self._scale()), None
+        for name in benchmark.members(self._scale()):
+            cell = folder / benchmark.folder(name, self._scale()).name
+            try:
+                dataclasses.replace(self, name=name, out=cell)._run_study()
+            except DivergedError as error:
+                diverged = error
+        print(_benchmark_report(folder))
+        if diverged:
+            raise diverged
+
+    def _run_study(self) -> None:
+        folder = self.out or self._folder()
         trial = f"{folder}: a smoke study tries the program out; its runs are too short to learn anything"
         notice = trial if self.scale == "smoke" else None
         try:
@@ -86,6 +115,11 @@ class Study:
                 self._report(folder, notice)
             raise
         self._report(folder, notice)
+
+    def _folder(self) -> Path:
+        if self.name in benchmark.STUDIES:
+            return benchmark.folder(self.name, self._scale())
+        return Path("studies") / (f"{self.name}-{self._scale()}" if self.name else OWN)
 
     def _report(self, folder: Path, notice: str | None) -> None:
         report = importlib.import_module("pecjax.studies.report")
@@ -110,10 +144,12 @@ class Study:
             scene=self.scene,
         )
         run = settings_args.apply(run, self.settings, Study)
+        own = self.grid or any(given is not None for given in (self.samplers, self.alphas, self.coordinates))
         return dataclasses.replace(
             study,
             run=run,
             grid=self._grid(study, run),
+            conditions=((),) if own else study.conditions,
             seeds=study.seeds if self.seeds is None else read_seeds(self.seeds),
             parallel_runs=len(jax.devices()) if parallel_runs is None else parallel_runs,
         )
@@ -147,9 +183,11 @@ class Study:
         preset = None if self.preset is None else find_preset(self.preset)
         if self.name is None:
             if self.scale is not None:
-                raise InputError("scale is of the paper's studies; name one, such as fig4, or leave it out")
+                raise InputError("scale is of named studies; name one, such as fig4, or leave it out")
             return StudySettings(OWN, preset or PRESETS["fast"], OWN_GRID)
-        study = find_study(self.name, self.scale or "laptop")
+        study = find_study(self.name, self._scale())
+        if preset and self.name in benchmark.STUDIES:
+            raise InputError(f"preset: {self.name} has settings of its own; leave out --preset")
         agents = [kind_name(run.agent) for run in (preset or study.run, study.run)]
         if len(set(agents)) > 1:
             raise InputError(
@@ -157,6 +195,10 @@ class Study:
                 "choose another preset, or name no study"
             )
         return dataclasses.replace(study, run=preset or study.run)
+
+
+def _benchmark_report(folder: Path) -> str:
+    return importlib.import_module("pecjax.studies.benchmark_report").write_benchmark_report(folder)
 
 
 def read_seeds(words: tuple[str, ...]) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""Studies: the paper's experiments as grids, by name and scale."""
+"""Studies by name and scale: the paper's experiments as grids, beside the benchmark's."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pecjax.agents import PPO, Apex
 from pecjax.agents.apex.q_network import QNetworkSettings
 from pecjax.agents.apex.replay import ReplaySettings
 from pecjax.agents.networks import NetworkSettings
-from pecjax.errors import InputError
+from pecjax.errors import InputError, nearest
+from pecjax.studies import benchmark
 from pecjax.studies.grid import StudySettings
 from pecjax.training.presets import PRESETS
 from pecjax.training.settings import EvaluationSettings, RunSettings, StopSettings, override
 
 OWN = "own"  # the name of a study that is not in this catalogue
-SCALES = ("smoke", "laptop", "paper")
 
 _ALPHAS = (0.0, 0.1, 0.2, 0.3, 0.4)
 _PEC_AND_UNIFORM = ("pec", "uniform")
@@ -83,13 +83,18 @@ def find_study(name: str, scale: str = "laptop") -> StudySettings:
 
     Args:
         scale: `smoke` (seconds, to try it), `laptop` (two cores, our own presets) or `paper` (its
-            iteration counts and RLlib's settings).
+            iteration counts and RLlib's settings); of the benchmark of samplers `smoke`, `laptop` (three
+            seeds), `full` (all that are confirmed), or `screening`.
 
     Raises:
         InputError: there is no such study or scale.
     """
-    if name not in STUDIES:
-        raise InputError(f"unknown study '{name}'; choose one of {', '.join(STUDIES)}, or name none")
-    if scale not in SCALES:
-        raise InputError(f"unknown scale '{scale}'; choose one of {', '.join(SCALES)}")
-    return STUDIES[name][scale]
+    known = STUDIES | benchmark.STUDIES
+    if name not in known:
+        names = ", ".join([*STUDIES, benchmark.BENCHMARK])
+        raise InputError(
+            f"unknown study '{name}'{nearest(name, [*known])}; choose one of {names}, or name none"
+        )
+    if scale not in known[name]:
+        raise InputError(f"unknown scale '{scale}' of {name}; choose one of {', '.join(known[name])}")
+    return known[name][scale]

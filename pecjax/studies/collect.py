@@ -9,6 +9,7 @@ import numpy as np
 
 from pecjax.storage.files import Row
 from pecjax.training.evaluation import success_by_config
+from pecjax.training.measures import unbiased_cvar
 from pecjax.training.sinks import Sink
 
 
@@ -54,12 +55,17 @@ class Collected(Sink):
             self._tables[table][run].append(self._heads[run] | row)
 
     def arrays(self, name: str, iteration: int, arrays: Sequence[dict[str, Any]]) -> None:
-        """Keeps trials, failures and the goal ratio of every configuration."""
+        """Keeps trials, failures and the goal ratio of every configuration; rows get their unbiased CVaR."""
         if name == "configurations":
             kept = [{part: of_run[part] for part in ("trials", "failures")} for of_run in arrays]
             self._counted.append((iteration, kept))
-        elif name == "episodes":  # of the same iteration
-            for of_run, flown in zip(self._counted[-1][1], arrays, strict=True):
+        elif name == "episodes":  # of the same iteration, and of the last row of the evaluations
+            for of_run, flown, rows in zip(
+                self._counted[-1][1], arrays, self._tables["evaluation"], strict=True
+            ):
+                among = int(flown["config_id"].max()) + 1
+                found = unbiased_cvar(flown["config_id"], flown["success"], among)
+                rows[-1]["unbiased_cvar"] = float("nan") if found is None else found
                 unknown = np.full(len(of_run["trials"]), np.nan)
                 of_run["goal_ratio"] = (
                     unknown

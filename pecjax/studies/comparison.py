@@ -12,11 +12,11 @@ from pecjax.studies.statistics import sign_flip_p
 CONFIDENCE = 0.95
 
 
-class Relative(NamedTuple):
-    """By how much one needs more than another: -0.2 is a fifth less.
+class Comparison(NamedTuple):
+    """By how much one is above another.
 
     Attributes:
-        value, low, high: the geometric mean over pairs with its 95 % interval, by Student's t.
+        value, low, high: the mean over pairs with its 95 % interval, by Student's t.
         p: how often pairs would differ by chance as much, or more, either way (`sign_flip_p`).
         pairs: how many there are.
     """
@@ -51,16 +51,25 @@ def steps_to(steps: np.ndarray, ratios: np.ndarray, threshold: float, budget: fl
     return float(steps[first - 1] + part * (steps[first] - steps[first - 1]))
 
 
-def relative(ours: np.ndarray, theirs: np.ndarray) -> Relative:
-    """Ours over theirs, pair by pair: (P,) positive numbers of each, such as steps."""
-    logs = np.log(np.asarray(ours, float)) - np.log(np.asarray(theirs, float))
-    mean, pairs = float(logs.mean()), len(logs)
+def relative(ours: np.ndarray, theirs: np.ndarray) -> Comparison:
+    """Ours over theirs, less one: (P,) positive numbers of each, such as steps; -0.2 is a fifth less.
+
+    The mean is the geometric one.
+    """
+    found = difference(np.log(np.asarray(ours, float)), np.log(np.asarray(theirs, float)))
+    value, low, high = (float(np.expm1(log)) for log in found[:3])
+    return Comparison(value, low, high, found.p, found.pairs)
+
+
+def difference(ours: np.ndarray, theirs: np.ndarray) -> Comparison:
+    """Ours less theirs, pair by pair: (P,) numbers of each."""
+    differences = np.asarray(ours, float) - np.asarray(theirs, float)
+    mean, pairs = float(differences.mean()), len(differences)
     low = high = float("nan")
     if pairs > 1:
-        error = float(stats.sem(logs))
+        error = float(stats.sem(differences))
         low, high = stats.t.interval(CONFIDENCE, pairs - 1, mean, error) if error else (mean, mean)
-    value, low, high = (float(np.expm1(log)) for log in (mean, low, high))
-    return Relative(value, low, high, sign_flip_p(logs), pairs)
+    return Comparison(mean, float(low), float(high), sign_flip_p(differences), pairs)
 
 
 def holm(p_values: np.ndarray) -> np.ndarray:

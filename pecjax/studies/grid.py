@@ -45,6 +45,8 @@ class StudySettings:
         grid: the settings that it varies, by dotted path, and what each is tried with: `sampler` by
             name, or a leaf of the sampler, the agent or the task. A sampler's own settings are tried
             with the samplers that have them.
+        conditions: settings that are tried together, each of them with all of the grid: by the same paths,
+            none of which the grid has.
         seeds: each is tried with all of them.
         parallel_runs: runs in one program, shared by the devices.
     """
@@ -54,6 +56,7 @@ class StudySettings:
     grid: tuple[tuple[str, tuple[Any, ...]], ...] = (("sampler", ("pec", "uniform")),)
     seeds: tuple[int, ...] = tuple(range(5))
     parallel_runs: int = 2
+    conditions: tuple[Values, ...] = ((),)
 
     def check(self) -> None:
         """Makes sure that every run of the grid can be run.
@@ -87,9 +90,11 @@ class StudySettings:
 
     def _check_paths(self) -> None:
         paths = [path for path, _ in self.grid]
-        if len(set(paths)) < len(paths):
-            raise InputError(f"grid: {', '.join(paths)} name a setting twice; give all its values at once")
-        for path in paths:
+        also = set(paths) & {path for values in self.conditions for path, _ in values}
+        if len(set(paths)) < len(paths) or also:
+            names = ", ".join(sorted(also) or paths)
+            raise InputError(f"grid: {names} name a setting twice; give all its values at once")
+        for path in self.paths():
             if path != "sampler" and not path.startswith(("sampler.", "agent.", "task.")):
                 raise InputError(
                     f"grid: {path} is not of task, sampler or agent; all runs of a study share it"
@@ -98,9 +103,15 @@ class StudySettings:
                 names = ", ".join(self.values_of("sampler")) or kind_name(self.run.sampler)
                 raise InputError(f"grid: none of {names} has {path}; leave it out")
 
+    def paths(self) -> list[str]:
+        """Of the settings that the study varies."""
+        of_conditions = [path for values in self.conditions for path, _ in values]
+        return list(dict.fromkeys([*(path for path, _ in self.grid), *of_conditions]))
+
     def values_of(self, path: str) -> tuple[Any, ...]:
         """What a setting is tried with; nothing where the study does not vary it."""
-        return dict(self.grid).get(path, ())
+        together = [dict(values)[path] for values in self.conditions if path in dict(values)]
+        return (*dict(self.grid).get(path, ()), *dict.fromkeys(together))
 
     def settings_of(self, spec: RunSpec) -> RunSettings:
         """The settings `pecjax train` would need for that run."""
@@ -116,7 +127,7 @@ class StudySettings:
         values = dict(spec.values)
         head: Row = {"study": self.name, "coordinates": space_name(settings)}
         head |= {"sampler": kind_name(settings.sampler), "alpha": getattr(settings.sampler, "alpha", None)}
-        head |= {"seed": spec.seed} | {p: values.get(p) for p, _ in self.grid if p not in COLUMNS}
+        head |= {"seed": spec.seed} | {p: values.get(p) for p in self.paths() if p not in COLUMNS}
         return {name: _text(value) for name, value in head.items()}
 
     def groups(self) -> list[list[RunSpec]]:
@@ -131,8 +142,8 @@ class StudySettings:
         """Every combination of the grid's values, without those that a sampler does not have."""
         paths = [path for path, _ in self.grid]
         found: dict[Values, None] = {}
-        for values in product(*(values for _, values in self.grid)):
-            chosen = dict(zip(paths, values, strict=True))
+        for together, values in product(self.conditions, product(*(values for _, values in self.grid))):
+            chosen = dict(together) | dict(zip(paths, values, strict=True))
             sampler = override(self.run, sampler=chosen.get("sampler")).sampler
             own = {f"sampler.{path}" for path, _ in settings_tree.leaves(sampler)}
             has = {path: v for path, v in chosen.items() if not path.startswith("sampler.") or path in own}

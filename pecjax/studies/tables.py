@@ -44,11 +44,7 @@ def read_study(folder: Path) -> StudyTables:
     found["configurations"] = _configurations(directory, len(settings.batches()), found["results"])
     for name, table in found.items():
         table["alpha"] = [in_full.get(alpha, alpha) for alpha in table.alpha]
-        varied = ["alpha", *varied_columns(table)]
-        table["condition"] = [
-            _condition(sampler, zip(varied, values, strict=True))
-            for sampler, *values in table[["sampler", *varied]].itertuples(index=False)
-        ]
+        table["condition"] = conditions_of(table)
         keys = ["coordinates", "condition", "seed", "iteration", *_COLUMNS[name] & {"config"}]
         twice = table.loc[table.duplicated(keys)]
         if len(twice):
@@ -131,6 +127,13 @@ def varied_columns(table: pd.DataFrame) -> list[str]:
         for name in table.columns
         if name.partition(".")[0] in ("sampler", "agent", "task", "ppo", "apex") and "." in name
     ]
+
+
+def conditions_of(table: pd.DataFrame) -> list[str]:
+    """The condition of each row: the sampler and all digits of what a study varies."""
+    varied = ["alpha", *varied_columns(table)]
+    rows = table[["sampler", *varied]].itertuples(index=False)
+    return [_condition(sampler, zip(varied, values, strict=True)) for sampler, *values in rows]
 
 
 def _condition(sampler: str, values: Iterable[tuple[str, Any]]) -> str:

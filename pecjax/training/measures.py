@@ -32,19 +32,22 @@ def cvar(ratios: np.ndarray) -> np.ndarray:
     return total / number
 
 
-def unbiased_cvar(result: EvalResult, num_configs: int) -> float | None:
+def unbiased_cvar(config_id: np.ndarray, success: np.ndarray, num_configs: int) -> float | None:
     """CVaR-10 %, ranked by one half of each configuration's episodes and reported on the other.
 
     The lowest of many noisy ratios are low by chance too; on other episodes they are not. The halves
     change places, and the mean of both is given. None where a configuration has one episode only.
+
+    Args:
+        config_id, success: (E,), of each episode.
     """
-    order = np.argsort(result.config_id, kind="stable")
-    ids = result.config_id[order]
+    order = np.argsort(config_id, kind="stable")
+    ids = config_id[order]
     place = np.arange(len(ids)) - np.searchsorted(ids, ids)
     halves = []
     for half in (0, 1):
         of = order[place % 2 == half]
-        halves.append(success_by_config(result.config_id[of], result.success[of], num_configs))
+        halves.append(success_by_config(config_id[of], success[of], num_configs))
     both = np.isfinite(halves).all(axis=0)
     if not both.any() or not np.array_equal(np.unique(ids), np.flatnonzero(both)):
         return None
@@ -103,7 +106,7 @@ def figures_of(result: EvalResult, about: EvalSet, num_configs: int) -> dict[str
         "goal_ratio": successes / episodes,
         "interval": list(wilson(successes, episodes)),
         "spl": spl(result, about),
-        "cvar": unbiased_cvar(result, num_configs),
+        "cvar": unbiased_cvar(result.config_id, result.success, num_configs),
         "steps_to_goal": float(result.lengths[result.success].mean()) if successes else None,
         "mean_return": float(result.returns.mean()),
         **metrics,

@@ -1,0 +1,127 @@
+"""The benchmark of samplers: a study for each space, by the protocol of docs/benchmark.md."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+
+from pecjax.agents import PPO, Apex
+from pecjax.agents.base import AgentSettings
+from pecjax.agents.networks import NetworkSettings
+from pecjax.envs.rooms.settings import Rooms
+from pecjax.studies.grid import StudySettings, Values
+from pecjax.training.presets import PRESETS
+from pecjax.training.settings import EvaluationSettings, StopSettings
+
+BENCHMARK = "samplers"  # all of its studies; of one the name is samplers-CELL
+SCALES = ("smoke", "laptop", "full", "screening")
+EPISODES = 2000  # of an evaluation: each held-out configuration twice
+
+
+class Cell(NamedTuple):
+    """A space with a learner and a budget.
+
+    Attributes:
+        space: where it is learned.
+        iterations: of each run.
+        every: iterations between evaluations.
+        thresholds: goal ratios; what is compared first are the steps to the middle one.
+        measured: the column of the results that is compared.
+        agent: the learner.
+        seeds: of the confirmation.
+    """
+
+    space: str
+    iterations: int
+    every: int
+    thresholds: tuple[float, float, float]
+    measured: str = "goal_ratio"
+    agent: AgentSettings = PPO()
+    seeds: int = 10
+
+
+_REMEMBERS = PPO(num_steps=64, num_minibatches=16, network=NetworkSettings(memory="mingru", memory_size=128))
+CELLS: dict[str, Cell] = {
+    "paper-2": Cell("paper-2", 192, 12, (0.8, 0.9, 0.95)),
+    "rooms-pairs": Cell("rooms-pairs", 256, 16, (0.8, 0.9, 0.95)),
+    "rooms-longtail": Cell("rooms-longtail", 256, 16, (0.8, 0.9, 0.95), "goal_ratio.hard"),
+    "rooms-storm": Cell("rooms-storm", 256, 16, (0.8, 0.9, 0.95)),
+    "floorplans": Cell("floorplans", 300, 20, (0.8, 0.9, 0.95), agent=_REMEMBERS),
+    "tasks": Cell("tasks", 512, 32, (0.8, 0.9, 0.95)),
+    "rooms-pairs-apex": Cell("rooms-pairs", 350, 25, (0.8, 0.9, 0.95), agent=Apex(), seeds=5),
+}
+SCREENED = ("rooms-pairs", "rooms-longtail", "rooms-storm")  # on seeds that the confirmation does not have
+SCREENING_SEEDS = (100, 101, 102)
+
+
+def _conditions(sampler: str, **numbers: tuple[float, ...]) -> list[Values]:
+    """A sampler with each combination of some of its numbers."""
+    return [
+        (
+            ("sampler", sampler),
+            *((f"sampler.{name}", value) for name, value in zip(numbers, values, strict=True)),
+        )
+        for values in product(*numbers.values())
+    ]
+
+
+_ALPHAS, _HALF_LIVES = (0.05, 0.2, 1.0), (5.0, 20.0)
+SCREENING: tuple[Values, ...] = (
+    *_conditions("uniform"),
+    *_conditions("pec", alpha=_ALPHAS),
+    *_conditions("forgetting", alpha=_ALPHAS, half_life=_HALF_LIVES),
+    *_conditions("failure_ema", half_life=_HALF_LIVES, power=(1.0, 2.0)),
+    *_conditions("learnability", half_life=_HALF_LIVES),
+    *_conditions("thompson", half_life=_HALF_LIVES),
+    *_conditions("pass_at_n", half_life=_HALF_LIVES, tries=(2.0, 8.0)),
+    *_conditions("table_top", half_life=_HALF_LIVES, tries=(2.0, 8.0)),
+    *_conditions("learning_progress"),
+    *_conditions("dro", half_life=_HALF_LIVES, step=(0.05, 0.2)),
+    *_conditions("plr"),
+    *_conditions("sfl"),
+    *_conditions("floor"),
+    *_conditions("mixture"),
+    *_conditions("per_step"),
+)
+CONFIRMATION: tuple[Values, ...] = (*_conditions("uniform"), *_conditions("pec", alpha=(0.2,)))
+
+
+def _study(name: str, cell: Cell, scale: str) -> StudySettings:
+    run = dataclasses.replace(
+        PRESETS["apex-fast" if isinstance(cell.agent, Apex) else "fast"],
+        task=Rooms(space=cell.space),
+        agent=cell.agent,
+        stop=StopSettings(iterations=cell.iterations),
+        evaluation=EvaluationSettings(every=cell.every, episodes=EPISODES),
+    )
+    if scale == "smoke":
+        run = dataclasses.replace(
+            run,
+            stop=StopSettings(iterations=4),
+            evaluation=EvaluationSettings(every=2, episodes=40),
+        )
+    seeds = {"smoke": range(2), "laptop": range(3), "full": range(cell.seeds), "screening": SCREENING_SEEDS}
+    conditions = SCREENING if scale == "screening" else CONFIRMATION
+    return StudySettings(name, run, (), tuple(seeds[scale]), conditions=conditions)
+
+
+STUDIES: dict[str, dict[str, StudySettings]] = {
+    f"{BENCHMARK}-{name}": {
+        scale: _study(f"{BENCHMARK}-{name}", cell, scale)
+        for scale in SCALES
+        if scale != "screening" or name in SCREENED
+    }
+    for name, cell in CELLS.items()
+}
+
+
+def members(scale: str) -> list[str]:
+    """The benchmark's studies that have the scale; of a scale that none has all, whose error then says so."""
+    return [name for name, scales in STUDIES.items() if scale in scales] or [*STUDIES]
+
+
+def folder(name: str, scale: str) -> Path:
+    """Where a study of the benchmark is by default, or, by the name `BENCHMARK`, all of them."""
+    return Path("studies") / f"{BENCHMARK}-{scale}" / name.removeprefix(BENCHMARK).removeprefix("-")

@@ -1,0 +1,135 @@
+"""The benchmark of samplers: its studies, and a report beside plain loops over its results."""
+
+from itertools import product
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pecjax import InputError
+from pecjax.studies import benchmark
+from pecjax.studies.benchmark import CELLS, CONFIRMATION, SCREENING, STUDIES
+from pecjax.studies.benchmark_report import by_run, compare, read_cells, scores, write_benchmark_report
+from pecjax.training.kinds import make_kind
+
+STEPS = np.arange(1, 11) * 100_000
+SEEDS = range(6)
+
+
+def curve(sampler: str, seed: int) -> np.ndarray:
+    """Goal ratios that rise to about 1, sooner under pec."""
+    draw = np.random.default_rng([seed, len(sampler)])
+    pace = {"uniform": 2.0, "pec": 3.0, "dro": 2.0}[sampler] * np.exp(draw.normal(0, 0.1))
+    return 1 - np.exp(-pace * STEPS / 300_000)
+
+
+def results(samplers=("uniform", "pec", "dro")) -> pd.DataFrame:
+    rows = [
+        {"sampler": s, "alpha": 0.2 if s == "pec" else np.nan, "sampler.step": 0.1 if s == "dro" else np.nan}
+        | {"seed": seed, "iteration": i + 1, "env_steps": STEPS[i], "goal_ratio": ratio}
+        | {"unbiased_cvar": ratio**2, "goal_ratio.hard": ratio / 2}
+        for s, seed in product(samplers, SEEDS)
+        for i, ratio in enumerate(curve(s, seed))
+    ]
+    return pd.DataFrame(rows)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for cell in ("rooms-pairs", "rooms-storm"):
+        (tmp_path / cell).mkdir()
+        results().to_csv(tmp_path / cell / "results.csv", index=False)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_its_studies_can_be_run_and_begin_alike(name):
+    for study in STUDIES[name].values():
+        study.check()
+    full, laptop = STUDIES[name]["full"], STUDIES[name]["laptop"]
+    assert full.run == laptop.run and full.seeds[:3] == laptop.seeds  # a laptop's runs are the first of all
+    iterations = full.run.stop.iterations
+    assert iterations % full.run.evaluation.every == 0, "the last evaluation is as far as the others"
+
+
+def test_screening_tries_the_whole_family_on_seeds_of_its_own():
+    family = {make_kind("sampler", str(dict(values)["sampler"])) for values in SCREENING}
+    assert len(family) == 15 and len(set(SCREENING)) == len(SCREENING)
+    for name in benchmark.SCREENED:
+        study = STUDIES[f"samplers-{name}"]
+        assert not set(study["screening"].seeds) & set(study["full"].seeds)
+        assert study["screening"].run == study["full"].run
+    assert set(CONFIRMATION) <= set(SCREENING)
+
+
+def test_runs_have_the_figures_of_plain_loops():
+    cell, table = CELLS["rooms-longtail"]._replace(thresholds=(0.2, 0.4, 0.6)), results()
+    table["condition"] = table.sampler
+    runs = by_run(table, cell).set_index(["condition", "seed"])
+    for sampler, seed in product(("uniform", "pec", "dro"), SEEDS):
+        ratios = curve(sampler, seed)
+        row = runs.loc[sampler, seed]
+        assert row["goal_ratio"] == pytest.approx(ratios[-1]) and row["unbiased_cvar"] == pytest.approx(
+            ratios[-1] ** 2
+        )
+        area = sum((ratios[1:] + ratios[:-1]) / 2 / 2) / 9  # of the hard half
+        assert row["area"] == pytest.approx(area)
+        for at in (0.2, 0.4):
+            if ratios[0] / 2 < at:
+                assert row[f"steps_to_{at}"] == pytest.approx(np.interp(at, ratios / 2, STEPS))
+        assert row["steps_to_0.6"] == STEPS[-1]
+
+
+def test_comparisons_are_of_pairs_and_the_first_ones_are_corrected_together(folder):
+    cells = read_cells(folder)
+    assert set(cells) == {"rooms-pairs", "rooms-storm"}
+    rows = compare({name: by_run(table, CELLS[name]) for name, table in cells.items()})
+    table = pd.DataFrame(rows).set_index(["cell", "condition", "measure"])
+    middle = f"steps_to_{CELLS['rooms-pairs'].thresholds[1]:g}"
+    found = table.loc["rooms-pairs", "pec, α = 0.2", middle]
+    ours, theirs = (
+        by_run(cells["rooms-pairs"], CELLS["rooms-pairs"]).query("condition.str.startswith(@s)")[middle]
+        for s in ("pec", "uniform")
+    )
+    assert found.value == pytest.approx(np.exp(np.mean(np.log(ours.to_numpy() / theirs.to_numpy()))) - 1)
+    assert found.value < -0.2 and found.high < 0 and found.pairs == 6
+    assert (
+        found.p == 2 / 2**6 and found.p_holm == 4 / 2**6 * 2
+    )  # the least of four comparisons, which two have
+    ends = table.loc["rooms-pairs", "pec, α = 0.2", "goal_ratio"]
+    differences = [curve("pec", seed)[-1] - curve("uniform", seed)[-1] for seed in SEEDS]
+    assert ends.value == pytest.approx(np.mean(differences)) and not ends["first"]
+    assert table.loc["rooms-pairs", "uniform", middle].value == 0
+    assert (
+        scores(rows).splitlines()[2] == f"| pec, α = 0.2 |{f' {found.value:+.0%} |' * 3}"
+    )  # both cells alike
+
+
+def test_a_run_that_is_missing_never_reached_anything():
+    table = results()
+    table["condition"] = table.sampler
+    table = table[~((table.sampler == "pec") & (table.seed == 2))]
+    runs = by_run(table, CELLS["rooms-pairs"]).set_index(["condition", "seed"])
+    assert len(runs) == 18 and np.isnan(runs.loc["pec", 2]["goal_ratio"])
+    assert (runs.loc["pec", 2].filter(like="steps_to") == STEPS[-1]).all()
+    (row,) = [
+        row
+        for row in compare({"rooms-pairs": runs.reset_index()})
+        if row["condition"] == "pec" and row["first"]
+    ]
+    assert row["pairs"] == 6
+    with pytest.raises(InputError, match="rooms-pairs: there are no runs of uniform"):
+        compare({"rooms-pairs": by_run(table[table.sampler != "uniform"], CELLS["rooms-pairs"])})
+
+
+def test_its_report_is_rebuilt_byte_for_byte(folder):
+    text = write_benchmark_report(folder)
+    files = [folder / name for name in ("runs.csv", "comparisons.csv", "report.md")]
+    before = [file.read_bytes() for file in files]
+    assert before[2].decode() == text and "## rooms-storm: 6 pairs" in text and "| pec, α = 0.2 |" in text
+    for file in files:
+        file.unlink()
+    write_benchmark_report(folder)
+    assert [file.read_bytes() for file in files] == before
+    with pytest.raises(InputError, match=r"no CELL/results\.csv of paper-2"):
+        write_benchmark_report(folder / "rooms-pairs")
