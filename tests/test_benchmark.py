@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pecjax import InputError
+from pecjax import InputError, cli
+from pecjax.plotting import benchmark as figures
 from pecjax.studies import benchmark
 from pecjax.studies.benchmark import CELLS, CONFIRMATION, SCREENING, STUDIES
 from pecjax.studies.benchmark_report import by_run, compare, read_cells, scores, write_benchmark_report
@@ -105,6 +106,20 @@ def test_comparisons_are_of_pairs_and_the_first_ones_are_corrected_together(fold
     )  # both cells alike
 
 
+def test_the_figures_show_the_table_and_the_curves(folder):
+    cells = read_cells(folder)
+    rows = pd.DataFrame(compare({name: by_run(table, CELLS[name]) for name, table in cells.items()}))
+    first = rows[rows["first"] & (rows.cell == "rooms-pairs")]
+    panel = figures.steps(cells).axes[0]
+    (bars,) = panel.containers
+    np.testing.assert_allclose(bars.lines[0].get_xdata(), 100 * first.value.to_numpy(float))
+    ends = np.array([segment[:, 0] for segment in bars.lines[2][0].get_segments()])
+    np.testing.assert_allclose(ends, 100 * first[["low", "high"]].to_numpy(float))
+    assert [label.get_text() for label in panel.get_yticklabels()] == list(first.condition)
+    (line, *_) = figures.curves(cells).axes[0].lines
+    np.testing.assert_allclose(line.get_ydata(), np.mean([curve("uniform", seed) for seed in SEEDS], axis=0))
+
+
 def test_a_run_that_is_missing_never_reached_anything():
     table = results()
     table["condition"] = table.sampler
@@ -122,14 +137,17 @@ def test_a_run_that_is_missing_never_reached_anything():
         compare({"rooms-pairs": by_run(table[table.sampler != "uniform"], CELLS["rooms-pairs"])})
 
 
-def test_its_report_is_rebuilt_byte_for_byte(folder):
+def test_its_report_is_rebuilt_byte_for_byte(folder, capsys):
+    names = ("runs.csv", "comparisons.csv", "report.md", "figures/steps.png", "figures/curves.png")
+    files = [folder / name for name in names]
     text = write_benchmark_report(folder)
-    files = [folder / name for name in ("runs.csv", "comparisons.csv", "report.md")]
+    again = ["study", "report", "--out", str(folder)]
+    assert cli.main(again) == 0 and text in capsys.readouterr().out
     before = [file.read_bytes() for file in files]
     assert before[2].decode() == text and "## rooms-storm: 6 pairs" in text and "| pec, α = 0.2 |" in text
     for file in files:
         file.unlink()
-    write_benchmark_report(folder)
+    assert cli.main(again) == 0
     assert [file.read_bytes() for file in files] == before
     with pytest.raises(InputError, match=r"no CELL/results\.csv of paper-2"):
         write_benchmark_report(folder / "rooms-pairs")

@@ -24,6 +24,11 @@ def draw(folder: Path) -> list[Path]:
     return importlib.import_module("pecjax.plotting.run").draw_run(folder)
 
 
+def draw_benchmark(folder: Path) -> list[Path]:
+    """Draws the figures of the benchmark of samplers from its results."""
+    return importlib.import_module("pecjax.plotting.benchmark").draw_benchmark(folder)
+
+
 def draw_evaluation(report: Report, out: Path) -> list[Path]:
     """Draws the report of an evaluation."""
     return _save("evaluation", "evaluation", out, report)

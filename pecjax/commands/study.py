@@ -14,7 +14,7 @@ import jax
 import tyro
 
 from pecjax.commands import settings_args
-from pecjax.commands.drawing import draw
+from pecjax.commands.drawing import draw, draw_benchmark
 from pecjax.commands.options import Floats, Option, Rest, Strings
 from pecjax.errors import DivergedError, InputError
 from pecjax.studies import benchmark
@@ -198,7 +198,9 @@ class Study:
 
 
 def _benchmark_report(folder: Path) -> str:
-    return importlib.import_module("pecjax.studies.benchmark_report").write_benchmark_report(folder)
+    text = importlib.import_module("pecjax.studies.benchmark_report").write_benchmark_report(folder)
+    draw_benchmark(folder)
+    return f"{text}\n{folder}: runs.csv, comparisons.csv, report.md and figures/"
 
 
 def read_seeds(words: tuple[str, ...]) -> tuple[int, ...]:
