@@ -6,6 +6,7 @@ import dataclasses
 import importlib
 import re
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -26,7 +27,7 @@ from pecjax.training.kinds import has_alpha, kind_name
 from pecjax.training.presets import PRESETS, find_preset
 from pecjax.training.settings import RunSettings, override
 
-REPORT = "report"
+REPORT, LAPTOP = "report", "laptop"
 # Of a study that is none of the paper's.
 OWN_GRID = (("sampler", ("pec", "uniform")), ("sampler.alpha", (0.2,)))
 
@@ -58,8 +59,8 @@ class Study:
         parallel_runs: runs in one program. (default: as many as there are devices)
         grid: another setting to vary, and its values: agent.learning_rate 1e-4 3e-4, or sampler.half_life 3
             10; may be given several times.
-        out: the study's folder. (default: studies/NAME-SCALE, or studies/own; of the benchmark
-            studies/samplers-SCALE, with a folder for each space)
+        out: the study's folder; the benchmark's, which has one for each space. (default:
+            studies/NAME-SCALE, or studies/own; of the benchmark studies/samplers-SCALE)
         settings: options by their dotted paths (see `settings_args`).
     """
 
@@ -81,31 +82,32 @@ class Study:
 
     def run(self) -> None:
         """Trains, summarizes and draws."""
+        scale = self.scale or LAPTOP
+        members = benchmark.members(str(self.name), scale)
+        of_all = benchmark.BENCHMARK if members or self.name == REPORT else self.name
+        folder = self.out or Path("studies") / (f"{of_all}-{scale}" if of_all else OWN)
         if self.name == REPORT:
-            print(_benchmark_report(self.out or benchmark.folder(benchmark.BENCHMARK, self._scale())))
-        elif self.name == benchmark.BENCHMARK:
-            self._run_benchmark()
+            print(_benchmark_report(folder))
+        elif members:
+            self._run_benchmark(members, folder)
         else:
-            self._run_study()
+            self._run_study(folder)
 
-    def _scale(self) -> str:
-        return self.scale or "laptop"
-
-    def _run_benchmark(self) -> None:
-        """All of its studies, one after another, and their report."""
-        folder, diverged = self.out or benchmark.folder(benchmark.BENCHMARK, self._scale()), None
-        for name in benchmark.members(self._scale()):
-            cell = folder / benchmark.folder(name, self._scale()).name
+    def _run_benchmark(self, members: Sequence[str], folder: Path) -> None:
+        """The benchmark's studies, one after another, and their report."""
+        diverged = None
+        for name in members:
+            cell = folder / benchmark.cell(name)
             try:
-                dataclasses.replace(self, name=name, out=cell)._run_study()
+                run_study(dataclasses.replace(self, name=name)._settings(cell), cell)
             except DivergedError as error:
                 diverged = error
+            importlib.import_module("pecjax.studies.shares").write_shares(cell)
         print(_benchmark_report(folder))
         if diverged:
             raise diverged
 
-    def _run_study(self) -> None:
-        folder = self.out or self._folder()
+    def _run_study(self, folder: Path) -> None:
         trial = f"{folder}: a smoke study tries the program out; its runs are too short to learn anything"
         notice = trial if self.scale == "smoke" else None
         try:
@@ -115,11 +117,6 @@ class Study:
                 self._report(folder, notice)
             raise
         self._report(folder, notice)
-
-    def _folder(self) -> Path:
-        if self.name in benchmark.STUDIES:
-            return benchmark.folder(self.name, self._scale())
-        return Path("studies") / (f"{self.name}-{self._scale()}" if self.name else OWN)
 
     def _report(self, folder: Path, notice: str | None) -> None:
         report = importlib.import_module("pecjax.studies.report")
@@ -185,7 +182,7 @@ class Study:
             if self.scale is not None:
                 raise InputError("scale is of named studies; name one, such as fig4, or leave it out")
             return StudySettings(OWN, preset or PRESETS["fast"], OWN_GRID)
-        study = find_study(self.name, self._scale())
+        study = find_study(self.name, self.scale or LAPTOP)
         if preset and self.name in benchmark.STUDIES:
             raise InputError(f"preset: {self.name} has settings of its own; leave out --preset")
         agents = [kind_name(run.agent) for run in (preset or study.run, study.run)]

@@ -1,4 +1,4 @@
-"""The figures of the benchmark of samplers: curves in each space, and steps beside uniform sampling's."""
+"""The figures of the benchmark of samplers: curves and draws in each space, steps beside uniform ones."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ from pecjax.plotting.style import (
     style_of,
     styled,
 )
+from pecjax.storage.tables import read_table
 from pecjax.studies.benchmark import CELLS
 from pecjax.studies.benchmark_report import BASELINE, by_run, compare, read_cells
+from pecjax.studies.shares import KINDS
 
 IN_ROW = 3  # panels
 MATTERS = -0.2  # the effect that would matter, see docs/benchmark.md
@@ -30,7 +32,7 @@ _LINE = 0.13  # inches, of a condition in a panel
 
 
 def draw_benchmark(folder: Path) -> list[Path]:
-    """Draws `curves`, where there are conditions few enough to be told apart, and `steps` into `figures`.
+    """Draws `steps` into `figures`; `curves` and `shares`, too, where conditions are few.
 
     Raises:
         InputError: the folder has no results of the benchmark, or cannot be written.
@@ -39,7 +41,13 @@ def draw_benchmark(folder: Path) -> list[Path]:
     conditions = {condition for table in cells.values() for condition in table.condition}
     paths = save(steps(cells), folder / "figures" / "steps")
     if len(conditions) <= len(COLORS):
-        paths = save(curves(cells), folder / "figures" / "curves") + paths
+        paths += save(curves(cells), folder / "figures" / "curves")
+        drawn = {name: folder / name / "shares.csv" for name in cells}
+        found = {
+            name: read_table(path, {"env_steps", *KINDS}) for name, path in drawn.items() if path.is_file()
+        }
+        if found:
+            paths += save(shares(found), folder / "figures" / "shares")
     return paths
 
 
@@ -50,7 +58,12 @@ def curves(cells: Mapping[str, pd.DataFrame]) -> Figure:
     for axes, (name, table) in zip(panels, cells.items(), strict=True):
         for place, (condition, rows) in enumerate(by_condition(table)):
             mean = rows.groupby("env_steps")[CELLS[name].measured].mean()
-            axes.plot(mean.index.to_numpy() / 1e6, mean.to_numpy(), label=condition, **style_of(place) | {"marker": ""})
+            axes.plot(
+                mean.index.to_numpy() / 1e6,
+                mean.to_numpy(),
+                label=condition,
+                **style_of(place) | {"marker": ""},
+            )
         for at in CELLS[name].thresholds:
             axes.axhline(at, color="0.6", linewidth=0.7, linestyle=":")
         axes.set(xlabel="Environment steps (millions)", ylim=RATIO_LIMITS, xlim=(0, None))
@@ -58,6 +71,23 @@ def curves(cells: Mapping[str, pd.DataFrame]) -> Figure:
     name_panels(panels, [_title(name) for name in cells])
     seeds = max(table.seed.nunique() for table in cells.values())
     legend_below(figure, title=f"Mean of up to {seeds} seeds, held out; dotted: the thresholds")
+    return figure
+
+
+@styled
+def shares(cells: Mapping[str, pd.DataFrame]) -> Figure:
+    """The share of the draws that went to what is learnable in each cell, and to what is out of reach."""
+    figure, panels = _panels(len(cells), 1.9)
+    for axes, table in zip(panels, cells.values(), strict=True):
+        for place, (condition, rows) in enumerate(by_condition(table)):
+            style = style_of(place) | {"marker": ""}
+            along = rows.env_steps.to_numpy() / 1e6
+            axes.plot(along, rows.learnable.to_numpy(), label=condition, **style)
+            axes.plot(along, rows.out_of_reach.to_numpy(), **style | {"linewidth": 0.6})
+        axes.set(xlabel="Environment steps (millions)", ylim=RATIO_LIMITS, xlim=(0, None))
+        axes.set_ylabel("Share of draws" if axes.get_subplotspec().is_first_col() else "")
+    name_panels(panels, [_title(name) for name in cells])
+    legend_below(figure, title="Bold: learnable; thin: out of reach; the rest is mastered")
     return figure
 
 

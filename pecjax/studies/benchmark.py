@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from itertools import product
-from pathlib import Path
 from typing import NamedTuple
 
 from pecjax.agents import PPO, Apex
@@ -117,11 +116,16 @@ STUDIES: dict[str, dict[str, StudySettings]] = {
 }
 
 
-def members(scale: str) -> list[str]:
-    """The benchmark's studies that have the scale; of a scale that none has all, whose error then says so."""
-    return [name for name, scales in STUDIES.items() if scale in scales] or [*STUDIES]
+def members(name: str, scale: str) -> list[str]:
+    """The benchmark's studies of that name: one, all that have the scale, or none of another study's name.
+
+    Of a scale that none has it is all of them, whose error then says so.
+    """
+    if name == BENCHMARK:
+        return [study for study, scales in STUDIES.items() if scale in scales] or [*STUDIES]
+    return [name] if name in STUDIES else []
 
 
-def folder(name: str, scale: str) -> Path:
-    """Where a study of the benchmark is by default, or, by the name `BENCHMARK`, all of them."""
-    return Path("studies") / f"{BENCHMARK}-{scale}" / name.removeprefix(BENCHMARK).removeprefix("-")
+def cell(name: str) -> str:
+    """The cell that a study of the benchmark is of."""
+    return name.removeprefix(f"{BENCHMARK}-")
