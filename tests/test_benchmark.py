@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from pecjax import InputError, cli
+from pecjax.envs.task import num_configs
 from pecjax.plotting import benchmark as figures
 from pecjax.studies import benchmark
 from pecjax.studies.benchmark import CELLS, CONFIRMATION, SCREENING, STUDIES
@@ -51,6 +52,15 @@ def test_its_studies_can_be_run_and_begin_alike(name):
     assert full.run == laptop.run and full.seeds[:3] == laptop.seeds  # a laptop's runs are the first of all
     iterations = full.run.stop.iterations
     assert iterations % full.run.evaluation.every == 0, "the last evaluation is as far as the others"
+
+
+@pytest.mark.parametrize("name", CELLS)
+def test_evaluations_fly_each_held_out_configuration_twice(name):
+    run = STUDIES[f"samplers-{name}"]["full"].run
+    _, world = run.task.make()
+    assert run.evaluation.episodes == 2 * num_configs(run.task.eval_set(world).table)
+    measured = CELLS[name].measured.partition(".")[2]
+    assert not measured or measured in run.task.eval_set(world).groups
 
 
 def test_screening_tries_the_whole_family_on_seeds_of_its_own():

@@ -16,7 +16,7 @@ from pecjax.training.settings import EvaluationSettings, StopSettings
 
 BENCHMARK = "samplers"  # all of its studies; of one the name is samplers-CELL
 SCALES = ("smoke", "laptop", "full", "screening")
-EPISODES = 2000  # of an evaluation: each held-out configuration twice
+FLIGHTS = 2  # of each held-out configuration, in an evaluation
 
 
 class Cell(NamedTuple):
@@ -24,6 +24,7 @@ class Cell(NamedTuple):
 
     Attributes:
         space: where it is learned.
+        held_out: how many configurations are.
         iterations: of each run.
         every: iterations between evaluations.
         thresholds: goal ratios; what is compared first are the steps to the middle one.
@@ -33,6 +34,7 @@ class Cell(NamedTuple):
     """
 
     space: str
+    held_out: int
     iterations: int
     every: int
     thresholds: tuple[float, float, float]
@@ -43,13 +45,13 @@ class Cell(NamedTuple):
 
 _REMEMBERS = PPO(num_steps=64, num_minibatches=16, network=NetworkSettings(memory="mingru", memory_size=128))
 CELLS: dict[str, Cell] = {
-    "paper-2": Cell("paper-2", 192, 12, (0.8, 0.9, 0.95)),
-    "rooms-pairs": Cell("rooms-pairs", 256, 16, (0.8, 0.9, 0.95)),
-    "rooms-longtail": Cell("rooms-longtail", 256, 16, (0.8, 0.9, 0.95), "goal_ratio.hard"),
-    "rooms-storm": Cell("rooms-storm", 256, 16, (0.8, 0.9, 0.95)),
-    "floorplans": Cell("floorplans", 300, 20, (0.8, 0.9, 0.95), agent=_REMEMBERS),
-    "tasks": Cell("tasks", 512, 32, (0.8, 0.9, 0.95)),
-    "rooms-pairs-apex": Cell("rooms-pairs", 350, 25, (0.8, 0.9, 0.95), agent=Apex(), seeds=5),
+    "paper-2": Cell("paper-2", 362, 192, 12, (0.8, 0.9, 0.95)),
+    "rooms-pairs": Cell("rooms-pairs", 1000, 256, 16, (0.8, 0.9, 0.95)),
+    "rooms-longtail": Cell("rooms-longtail", 1000, 256, 16, (0.8, 0.9, 0.95), "goal_ratio.hard"),
+    "rooms-storm": Cell("rooms-storm", 1000, 256, 16, (0.8, 0.9, 0.95)),
+    "floorplans": Cell("floorplans", 1000, 300, 20, (0.8, 0.9, 0.95), agent=_REMEMBERS),
+    "tasks": Cell("tasks", 900, 512, 32, (0.8, 0.9, 0.95)),
+    "rooms-pairs-apex": Cell("rooms-pairs", 1000, 350, 25, (0.8, 0.9, 0.95), agent=Apex(), seeds=5),
 }
 SCREENED = ("rooms-pairs", "rooms-longtail", "rooms-storm")  # on seeds that the confirmation does not have
 SCREENING_SEEDS = (100, 101, 102)
@@ -93,7 +95,7 @@ def _study(name: str, cell: Cell, scale: str) -> StudySettings:
         task=Rooms(space=cell.space),
         agent=cell.agent,
         stop=StopSettings(iterations=cell.iterations),
-        evaluation=EvaluationSettings(every=cell.every, episodes=EPISODES),
+        evaluation=EvaluationSettings(every=cell.every, episodes=FLIGHTS * cell.held_out),
     )
     if scale == "smoke":
         run = dataclasses.replace(
