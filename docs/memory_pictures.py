@@ -17,7 +17,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy import stats
 
-from pecjax.plotting.style import BLUE, PAGE, RED, STYLE, TEAL, YELLOW
+from pecjax.plotting.style import BLUE, PAGE, RED, STYLE, TEAL, YELLOW, legend_below
 
 HERE = Path(__file__).parent
 TABLE = HERE / "results" / "memory-floorplans.csv"
@@ -27,11 +27,23 @@ NETWORKS = {
     "mingru": ("minGRU", 540),
     "mlp-falling": ("no memory, falling rate", 900),
     "mingru-falling": ("minGRU, falling rate", 900),
+    "mlp-25": ("no memory, falling rate, 25 minutes", 1500),
+    "mingru-25": ("minGRU, falling rate, 25 minutes", 1500),
+    "mingru-far": ("minGRU, falling rate, discount 0.998, sequences of 128", 900),
     "above": ("shown the map", 540),
     "guided": ("shown the way", 540),
 }
-PAIRS = (("mlp", "mingru"), ("mlp-falling", "mingru-falling"))
-LOOKS = ((RED, "-"), (BLUE, "-"), (RED, ":"), (BLUE, ":"), (YELLOW, "-"), (TEAL, "-"))
+PAIRS = (
+    ("mlp", "mingru"),
+    ("mlp-falling", "mingru-falling"),
+    ("mlp-falling", "mingru-far"),
+)
+LOOKS = (
+    *((color, dashes) for dashes in ("-", ":", "-.") for color in (RED, BLUE)),
+    (BLUE, "--"),
+    (YELLOW, "-"),
+    (TEAL, "-"),
+)
 DPI = 200
 
 
@@ -59,7 +71,7 @@ def ends(table: pd.DataFrame, column: str = "goal_ratio", last: int = 3) -> pd.D
 def curves(table: pd.DataFrame) -> Figure:
     """Held-out goal ratio against steps, and against minutes: every run."""
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(PAGE, 2.6), layout="constrained")
+        figure = Figure(figsize=(PAGE, 2.4), layout="constrained")
         panels = figure.subplots(1, 2, sharey=True)
         for (network, (label, _)), (color, dashes) in zip(NETWORKS.items(), LOOKS, strict=True):
             for number, (_, run) in enumerate(table[table.network == network].groupby("seed")):
@@ -71,7 +83,7 @@ def curves(table: pd.DataFrame) -> Figure:
             axes.set_yticks(np.linspace(0, 1, 6))
             axes.grid()
         panels[0].set_ylabel("goal ratio in plans held out")
-        panels[1].legend(loc="lower right", ncols=2)
+        legend_below(figure)
     return figure
 
 
@@ -85,7 +97,7 @@ def main(words: list[str] | None = None) -> None:
         collect(given.runs).to_csv(TABLE, index=False)
     table = pd.read_csv(TABLE)
     reached = ends(table)
-    print(reached.round(3))
+    print(reached.round(3).to_string())
     for without, remembers in PAIRS:
         difference = (reached[remembers] - reached[without]).dropna()
         low, high = stats.t.interval(0.95, len(difference) - 1, difference.mean(), stats.sem(difference))
