@@ -1,5 +1,6 @@
 """The benchmark of samplers: its studies, and a report beside plain loops over its results."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -12,6 +13,7 @@ from pecjax.plotting import benchmark as figures
 from pecjax.studies import benchmark
 from pecjax.studies.benchmark import CELLS, CONFIRMATION, SCREENING, STUDIES
 from pecjax.studies.benchmark_report import by_run, compare, read_cells, scores, write_benchmark_report
+from pecjax.studies.run import run_study
 from pecjax.training.kinds import make_kind
 
 STEPS = np.arange(1, 11) * 100_000
@@ -161,3 +163,14 @@ def test_its_report_is_rebuilt_byte_for_byte(folder, capsys):
     assert [file.read_bytes() for file in files] == before
     with pytest.raises(InputError, match=r"no CELL/results\.csv of paper-2"):
         write_benchmark_report(folder / "rooms-pairs")
+
+
+@pytest.mark.slow
+def test_one_pair_of_a_cell_is_repeated_to_the_last_digit(tmp_path):
+    """At the size of the benchmark's programs, where XLA rounds elsewhere when there is one run in them."""
+    study = STUDIES["samplers-rooms-pairs"]["smoke"]
+    run_study(study, tmp_path / "all")
+    run_study(replace(study, seeds=(1,)), tmp_path / "one")
+    found, every = (pd.read_csv(tmp_path / name / "results.csv") for name in ("one", "all"))
+    assert len(found) == 4
+    pd.testing.assert_frame_equal(found, every[every.seed == 1].reset_index(drop=True), check_dtype=False)

@@ -71,10 +71,10 @@ def programs_once():
     """Each program is compiled once for all tests: a run's settings and their number name it."""
     made = {}
 
-    def make_once(run, task, world, runs):
-        if (run, runs) not in made:
-            made[run, runs] = several_runs(run, task, world, runs)
-        return made[run, runs]
+    def make_once(run, task, world, runs, places):
+        if (run, runs, places) not in made:
+            made[run, runs, places] = several_runs(run, task, world, runs, places)
+        return made[run, runs, places]
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(study_run, "several_runs", make_once)
@@ -412,6 +412,21 @@ def test_a_run_that_diverges_is_left_out_and_all_others_are_made(
     monkeypatch.setattr(study_run, "several_runs", make)
     run_study(settings, folder)
     assert digests(folder) == digests(study)
+
+
+def test_a_run_is_the_same_whatever_runs_are_beside_it(study, settings, tmp_path):
+    """One seed alone is what it is among others, so that a pair of a study can be repeated."""
+    grid = (settings.grid[0], ("sampler", ("pec",)), ("sampler.alpha", (3.0,)))
+    run_study(replace(settings, grid=grid, seeds=(7,)), tmp_path / "alone")
+    for name in TABLES:
+        every = pd.read_csv(study / f"{name}.csv")
+        wanted = every[(every.alpha == 3) & (every.seed == 7)].reset_index(drop=True)
+        assert len(wanted)
+        pd.testing.assert_frame_equal(
+            pd.read_csv(tmp_path / "alone" / f"{name}.csv"), wanted, check_dtype=False
+        )
+    (alone,) = counted(tmp_path / "alone")
+    assert alone["trials"].shape[0] == 1
 
 
 def test_a_finished_study_only_gathers(study, settings, monkeypatch):

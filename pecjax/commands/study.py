@@ -99,7 +99,7 @@ class Study:
         for name in members:
             cell = folder / benchmark.cell(name)
             try:
-                run_study(dataclasses.replace(self, name=name)._settings(cell), cell)
+                run_study(dataclasses.replace(self, name=name)._settings(cell), cell, self._notice(cell))
             except DivergedError as error:
                 diverged = error
             importlib.import_module("pecjax.studies.shares").write_shares(cell)
@@ -108,8 +108,7 @@ class Study:
             raise diverged
 
     def _run_study(self, folder: Path) -> None:
-        trial = f"{folder}: a smoke study tries the program out; its runs are too short to learn anything"
-        notice = trial if self.scale == "smoke" else None
+        notice = self._notice(folder)
         try:
             run_study(self._settings(folder), folder, notice)
         except DivergedError:
@@ -117,6 +116,10 @@ class Study:
                 self._report(folder, notice)
             raise
         self._report(folder, notice)
+
+    def _notice(self, folder: Path) -> str | None:
+        trial = f"{folder}: a smoke study tries the program out; its runs are too short to learn anything"
+        return trial if self.scale == "smoke" else None
 
     def _report(self, folder: Path, notice: str | None) -> None:
         report = importlib.import_module("pecjax.studies.report")

@@ -80,7 +80,7 @@ def _make_batches(
         run = settings.settings_of(specs[0])
         key = fixed(specs[0].values), len(specs)
         if key not in programs:
-            programs[key] = several_runs(run, *worlds[run.task], len(specs))
+            programs[key] = several_runs(run, *worlds[run.task], len(specs), settings.parallel_runs)
         collected = _train(settings, specs, programs[key], progress, interruption)
         directory.write_batch(number, collected)
         directory.merge_tables(len(batches))

@@ -138,21 +138,29 @@ class StudyProgram(NamedTuple):
     program: Program
 
 
-def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> StudyProgram:
+def several_runs(
+    settings: RunSettings, task: Task, world: World, runs: int, places: int | None = None
+) -> StudyProgram:
     """The program that trains so many runs, which differ in seed and in numbers of their sampler.
 
     Every device has whole runs to itself, so devices never wait for one another within an
     iteration, and a run is what it would be on one device alone.
 
+    Args:
+        places: for runs, in one program; what is left over repeats the last run and is not given out. A run
+            is the same to the last digit beside any others, though not in another number of places: XLA
+            may then round elsewhere. (default: as many as runs)
+
     Raises:
         InputError: settings that do not fit one another, or replays that memory cannot hold.
     """
-    devices = choose_num_devices(None, runs)
+    places = runs if places is None else places
+    devices = choose_num_devices(None, places)
     mesh = device_mesh(devices)
     sampler = settings.sampler.make(num_configs(world.table))
     check_contracts(settings, task, world, sampler)
     agent = settings.agent.make(task, sampler)
-    check_memory(agent.replay_bytes * runs, devices)
+    check_memory(agent.replay_bytes * places, devices)
     world, about = everywhere(world, mesh), settings.evaluation
     run = make_episode_runner(task, agent, greedy=about.greedy, seed=about.seed)
     eval_set = settings.task.eval_set(world)
@@ -184,22 +192,32 @@ def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> 
 
         return jax.jit(sharded, compiler_options=compiler_options(runs_once=one is init), **options)
 
+    def filled(values: Sequence[float], dtype: Any) -> np.ndarray:
+        return np.pad(np.asarray(values, dtype), (0, places - runs), mode="edge")
+
+    def kept(tree: Any) -> Any:
+        return jax.tree.map(lambda leaf: leaf[:runs], tree) if runs < places else tree
+
+    def iterate_kept(state: TrainState) -> tuple[TrainState, Metrics]:
+        state, metrics = iterate_all(world, state)
+        return state, kept(metrics)
+
     probabilities = jax.jit(jax.vmap(sampler.probabilities))
     # The numbers are in the sampler's state, so one `iterate` serves all.
     iterate_all, evaluate_all, init_all = spread(iterate, donate_argnums=1), spread(evaluate), spread(init)
     return StudyProgram(
         lambda seeds, numbers: init_all(
             world,
-            np.asarray(seeds, np.int32),
-            {name: np.asarray(v, np.float32) for name, v in numbers.items()},
+            filled(seeds, np.int32),
+            {name: filled(v, np.float32) for name, v in numbers.items()},
         ),
         Program(
             runs,
             eval_set,
             agent.steps_per_iteration,
-            lambda state: iterate_all(world, state),
-            lambda state: jax.device_get(evaluate_all(eval_world, state.learner)),
-            lambda state: np.asarray(state.counts),
-            lambda state: np.asarray(probabilities(state.sampler)),
+            iterate_kept,
+            lambda state: kept(jax.device_get(evaluate_all(eval_world, state.learner))),
+            lambda state: np.asarray(state.counts)[:runs],
+            lambda state: np.asarray(probabilities(state.sampler))[:runs],
         ),
     )
