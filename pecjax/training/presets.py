@@ -69,6 +69,12 @@ PRESETS: dict[str, RunSettings] = {
         stop=StopSettings(iterations=1500),
         evaluation=EvaluationSettings(every=100, episodes=50),
     ),
+    "gpu": RunSettings(
+        preset="gpu",
+        agent=PPO(num_envs=8192, num_steps=16, num_minibatches=16),
+        stop=StopSettings(iterations=115),
+        evaluation=EvaluationSettings(every=10),
+    ),
     "image": RunSettings(
         preset="image",
         agent=PPO(num_envs=256, network=NetworkSettings(encoder="cnn", hidden=(64, 64))),
