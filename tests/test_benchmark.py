@@ -132,6 +132,26 @@ def test_the_figures_show_the_table_and_the_curves(folder):
     np.testing.assert_allclose(line.get_ydata(), np.mean([curve("uniform", seed) for seed in SEEDS], axis=0))
 
 
+def test_all_runs_that_reached_a_threshold_are_counted(folder):
+    """The slowest of them, too; and what never did is named."""
+    text = write_benchmark_report(folder)
+    (row,) = [
+        line for line in text.partition("## rooms-storm")[0].splitlines() if line.startswith("| uniform")
+    ]
+    assert " of 6)" not in row and "never" not in row  # every curve passes 0.95 before its end
+    late = results()
+    late["goal_ratio"] /= 2
+    late.to_csv(folder / "rooms-storm" / "results.csv", index=False)
+    assert "never (0 of 6)" in write_benchmark_report(folder)
+
+
+def test_uniform_sampling_alone_has_a_report(tmp_path):
+    (tmp_path / "tasks").mkdir()
+    results(("uniform",)).to_csv(tmp_path / "tasks" / "results.csv", index=False)
+    assert "| uniform |" in write_benchmark_report(tmp_path)
+    assert [path.name for path in figures.draw_benchmark(tmp_path)] == ["curves.pdf", "curves.png"]
+
+
 def test_a_run_that_is_missing_never_reached_anything():
     table = results()
     table["condition"] = table.sampler

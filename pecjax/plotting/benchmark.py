@@ -39,7 +39,7 @@ def draw_benchmark(folder: Path) -> list[Path]:
     """
     cells = read_cells(folder)
     conditions = {condition for table in cells.values() for condition in table.condition}
-    paths = save(steps(cells), folder / "figures" / "steps")
+    paths = save(steps(cells), folder / "figures" / "steps") if len(conditions) > 1 else []
     if len(conditions) <= len(COLORS):
         paths += save(curves(cells), folder / "figures" / "curves")
         drawn = {name: folder / name / "shares.csv" for name in cells}

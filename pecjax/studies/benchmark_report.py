@@ -38,7 +38,7 @@ def read_cells(folder: Path) -> dict[str, pd.DataFrame]:
 
 
 def by_run(results: pd.DataFrame, cell: Cell) -> pd.DataFrame:
-    """One row a run: steps to each threshold, the area under the curve, and how it ended.
+    """One row a run: its budget, steps to each threshold, the area under the curve, and how it ended.
 
     A run that others of its seed have and that is missing, since it diverged, has no curve: it never reached
     a threshold.
@@ -47,7 +47,7 @@ def by_run(results: pd.DataFrame, cell: Cell) -> pd.DataFrame:
     rows = []
     for _, run in results.groupby(["condition", "seed"], sort=False):
         steps, ratios = run.env_steps.to_numpy(), run[cell.measured].to_numpy()
-        row = run[["condition", "seed"]].iloc[0].to_dict()
+        row = run[["condition", "seed"]].iloc[0].to_dict() | {"budget": budget}
         row |= {_steps(at): steps_to(steps, ratios, at, budget) for at in cell.thresholds}
         row |= {"area": area_under_curve(steps, ratios)}
         ends = [name for name in run.columns if name in _ENDS or name.startswith("goal_ratio.")]
@@ -55,7 +55,7 @@ def by_run(results: pd.DataFrame, cell: Cell) -> pd.DataFrame:
     there = pd.DataFrame(rows)
     every = pd.MultiIndex.from_product([there.condition.unique(), sorted(there.seed.unique())])
     whole = there.set_index(["condition", "seed"]).reindex(every.set_names(["condition", "seed"]))
-    never = {_steps(at): budget for at in cell.thresholds}
+    never = {"budget": budget} | {_steps(at): budget for at in cell.thresholds}
     return whole.fillna(never).reset_index()
 
 
@@ -82,7 +82,7 @@ def _of_cell(name: str, cell: Cell, runs: pd.DataFrame) -> Iterator[files.Row]:
         raise InputError(f"{name}: there are no runs of {BASELINE}, which all others are compared with")
     theirs = by_condition[BASELINE]
     for condition, ours in by_condition.items():
-        for measure in ours.columns:
+        for measure in ours.columns.drop("budget"):
             both = ours[measure].notna() & theirs[measure].notna()
             values, others = ours[measure][both].to_numpy(), theirs[measure][both].to_numpy()
             if not len(values):
@@ -105,7 +105,7 @@ def table(name: str, runs: pd.DataFrame, compared: list[files.Row]) -> str:
     heads += [f"million steps to {at:g}" for at in cell.thresholds]
     heads += [f"steps to {cell.thresholds[1]:g}, over uniform", "p", "p (Holm)"]
     found = {(row["condition"], row["measure"]): row for row in compared if row["cell"] == name}
-    budget = runs[steps].to_numpy().max()
+    budget = float(runs.budget.iloc[0])
     lines = [heads, ["---"] * len(heads)]
     for condition, rows in runs.groupby("condition", sort=False):
         first = found[condition, steps[1]]
@@ -152,7 +152,9 @@ def write_benchmark_report(folder: Path) -> str:
     parts = [
         f"## {name}: {seeds[name]} pairs\n\n{table(name, rows, compared)}" for name, rows in runs.items()
     ]
-    text = "\n".join([*parts, f"## All together\n\n{scores(compared)}"])
+    if any(row["first"] for row in compared):
+        parts.append(f"## All together\n\n{scores(compared)}")
+    text = "\n".join(parts)
     every = pd.concat([rows.assign(cell=name) for name, rows in runs.items()], ignore_index=True)
     ordered = every.loc[:, ["cell", *every.columns.drop("cell")]].to_dict("records")
     with files.writing(folder, "the same command writes it once it can"):

@@ -45,6 +45,8 @@ def write_shares(folder: Path) -> None:
         if arrays["trials"].size:  # not of a batch whose runs all diverged
             tables.append(read_table(path / "results.csv", {"seed", "iteration", "env_steps"}))
             counts.append(np.stack([arrays["trials"], arrays["failures"]]))
+    if not counts:
+        return
     trials, failures = np.diff(np.concatenate(counts, axis=1), axis=2, prepend=0)
     found = shares(trials, kinds_of(trials, failures))  # in the order of the tables' rows
     rows = pd.concat(tables, ignore_index=True)
