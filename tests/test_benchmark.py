@@ -176,7 +176,7 @@ def test_its_report_is_rebuilt_byte_for_byte(folder, capsys):
     again = ["study", "report", "--out", str(folder)]
     assert cli.main(again) == 0 and text in capsys.readouterr().out
     before = [file.read_bytes() for file in files]
-    assert before[2].decode() == text and "## rooms-storm: 6 pairs" in text and "| pec, α = 0.2 |" in text
+    assert before[2].decode() == text and "## rooms-storm: 6 seeds" in text and "| pec, α = 0.2 |" in text
     for file in files:
         file.unlink()
     assert cli.main(again) == 0

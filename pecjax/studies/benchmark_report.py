@@ -150,7 +150,8 @@ def write_benchmark_report(folder: Path) -> str:
     compared = compare(runs)
     seeds = {name: table.seed.nunique() for name, table in runs.items()}
     parts = [
-        f"## {name}: {seeds[name]} pairs\n\n{table(name, rows, compared)}" for name, rows in runs.items()
+        f"## {name}: {seeds[name]} seed{'s' * (seeds[name] > 1)}\n\n{table(name, rows, compared)}"
+        for name, rows in runs.items()
     ]
     if any(row["first"] for row in compared):
         parts.append(f"## All together\n\n{scores(compared)}")
