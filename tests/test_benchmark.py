@@ -122,7 +122,7 @@ def test_the_figures_show_the_table_and_the_curves(folder):
     cells = read_cells(folder)
     rows = pd.DataFrame(compare({name: by_run(table, CELLS[name]) for name, table in cells.items()}))
     first = rows[rows["first"] & (rows.cell == "rooms-pairs")]
-    panel = figures.steps(cells).axes[0]
+    panel = figures.steps(rows).axes[0]
     (bars,) = panel.containers
     np.testing.assert_allclose(bars.lines[0].get_xdata(), 100 * first.value.to_numpy(float))
     ends = np.array([segment[:, 0] for segment in bars.lines[2][0].get_segments()])

@@ -71,10 +71,10 @@ def programs_once():
     """Each program is compiled once for all tests: a run's settings and their number name it."""
     made = {}
 
-    def make_once(run, task, world, runs, places):
-        if (run, runs, places) not in made:
-            made[run, runs, places] = several_runs(run, task, world, runs, places)
-        return made[run, runs, places]
+    def make_once(run, task, world, runs):
+        if (run, runs) not in made:
+            made[run, runs] = several_runs(run, task, world, runs)
+        return made[run, runs]
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(study_run, "several_runs", make_once)

@@ -23,7 +23,8 @@ from pecjax.plotting.style import (
 )
 from pecjax.storage.tables import read_table
 from pecjax.studies.benchmark import CELLS
-from pecjax.studies.benchmark_report import BASELINE, by_run, compare, read_cells
+from pecjax.studies.benchmark_report import read_cells
+from pecjax.studies.report import BASELINE
 from pecjax.studies.shares import KINDS
 
 IN_ROW = 3  # panels
@@ -35,11 +36,12 @@ def draw_benchmark(folder: Path) -> list[Path]:
     """Draws `steps` into `figures`; `curves` and `shares`, too, where conditions are few.
 
     Raises:
-        InputError: the folder has no results of the benchmark, or cannot be written.
+        InputError: the folder has no report of the benchmark, or cannot be written.
     """
     cells = read_cells(folder)
     conditions = {condition for table in cells.values() for condition in table.condition}
-    paths = save(steps(cells), folder / "figures" / "steps") if len(conditions) > 1 else []
+    compared = read_table(folder / "comparisons.csv", {"value", "low", "high"})
+    paths = save(steps(compared), folder / "figures" / "steps") if len(conditions) > 1 else []
     if len(conditions) <= len(COLORS):
         paths += save(curves(cells), folder / "figures" / "curves")
         drawn = {name: folder / name / "shares.csv" for name in cells}
@@ -92,11 +94,14 @@ def shares(cells: Mapping[str, pd.DataFrame]) -> Figure:
 
 
 @styled
-def steps(cells: Mapping[str, pd.DataFrame]) -> Figure:
-    """Steps to each cell's middle threshold over those of uniform sampling, with 95 % intervals."""
-    found = pd.DataFrame(compare({name: by_run(table, CELLS[name]) for name, table in cells.items()}))
-    first = found[found["first"]]
-    names = list(dict.fromkeys(first.condition))
+def steps(compared: pd.DataFrame) -> Figure:
+    """Steps to each cell's middle threshold over those of uniform sampling, with 95 % intervals.
+
+    Args:
+        compared: the rows of `benchmark_report.compare`.
+    """
+    first = compared[compared["first"]]
+    names, cells = list(dict.fromkeys(first.condition)), list(dict.fromkeys(first.cell))
     figure, panels = _panels(len(cells), 0.8 + _LINE * len(names))
     for axes, name in zip(panels, cells, strict=True):
         rows = first[first.cell == name].set_index("condition").reindex(names)

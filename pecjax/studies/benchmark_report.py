@@ -13,10 +13,10 @@ from pecjax.storage import files
 from pecjax.storage.tables import read_table
 from pecjax.studies.benchmark import CELLS, Cell
 from pecjax.studies.comparison import difference, holm, relative, steps_to
+from pecjax.studies.report import BASELINE
 from pecjax.studies.statistics import area_under_curve
 from pecjax.studies.tables import conditions_of
 
-BASELINE = "uniform"
 _STEPS = "steps_to_"
 _ENDS = ("goal_ratio", "spl", "unbiased_cvar")  # of the last evaluation
 _COLUMNS = {"seed", "iteration", "env_steps", "goal_ratio"}
@@ -117,7 +117,7 @@ def table(name: str, runs: pd.DataFrame, compared: list[files.Row]) -> str:
             over = f"{first['value']:+.0%} [{first['low']:+.0%}, {first['high']:+.0%}]"
             line += [over, f"{first['p']:.2g}", f"{first['p_holm']:.2g}"]
         lines.append(line)
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+    return _markdown(lines)
 
 
 def scores(compared: list[files.Row]) -> str:
@@ -130,6 +130,10 @@ def scores(compared: list[files.Row]) -> str:
     ordered = np.expm1(logs.assign(mean=logs.mean(axis=1)).sort_values("mean", kind="stable"))
     lines = [["", *(str(name) for name in ordered.columns)], ["---"] * (1 + len(ordered.columns))]
     lines += [[str(name), *(f"{value:+.0%}" for value in row)] for name, row in ordered.iterrows()]
+    return _markdown(lines)
+
+
+def _markdown(lines: list[list[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 

@@ -78,9 +78,9 @@ def _make_batches(
             continue
         _stop_if_asked(interruption)
         run = settings.settings_of(specs[0])
-        key = fixed(specs[0].values), len(specs)
-        if key not in programs:
-            programs[key] = several_runs(run, *worlds[run.task], len(specs), settings.parallel_runs)
+        key = fixed(specs[0].values)
+        if key not in programs:  # with as many places in the last batch, so that it rounds as the others do
+            programs[key] = several_runs(run, *worlds[run.task], settings.parallel_runs)
         collected = _train(settings, specs, programs[key], progress, interruption)
         directory.write_batch(number, collected)
         directory.merge_tables(len(batches))
@@ -109,7 +109,7 @@ def _train(
     hooks = Hooks(diverged, asked=lambda: bool(interruption.asked), lookahead=run.evaluation.every)
     state = program.init([spec.seed for spec in specs], varied)
     with Sinks([collected, progress], collected.names, 0) as sinks:
-        ending = run_loop(program.program, Position(state), run, sinks, hooks)
+        ending = run_loop(program.program._replace(num_runs=len(specs)), Position(state), run, sinks, hooks)
     if not ending.finished:
         if len(collected.diverged) < len(specs):
             _stop_if_asked(interruption)  # a batch that is whole is kept first

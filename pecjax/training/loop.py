@@ -137,7 +137,7 @@ def run_loop(program: Program, start: Position, settings: RunSettings, sink: Sin
         patience_count = patience_count + 1 if streak([last_metrics[0]["goal_ratio"]], settings.stop) else 0
         last = iteration == settings.stop.iterations or patience_count == settings.stop.patience
         if last or is_counted(settings, iteration):
-            found = zip(program.counts(state), program.probabilities(state), strict=True)
+            found = _by_run(program, (program.counts(state), program.probabilities(state)))
             arrays = [configuration_arrays(*of_run) for of_run in found]
             sink.arrays("configurations", iteration, arrays)
         evaluation: list[Row] = []

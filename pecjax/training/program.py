@@ -25,7 +25,7 @@ Iterate = Callable[[TrainState], tuple[TrainState, Metrics]]
 
 
 class Program(NamedTuple):
-    """K runs; metrics, results and probabilities have a leading axis K.
+    """K runs; metrics, results, counts and probabilities have a leading axis of K, or more that is no run's.
 
     Attributes:
         num_runs: K.
@@ -130,7 +130,8 @@ class StudyProgram(NamedTuple):
     """A program of K runs before it starts.
 
     Attributes:
-        init: (seeds, numbers of the sampler by name) -> their first state.
+        init: (seeds, numbers of the sampler by name) -> their first state; of fewer than K the last is
+            repeated.
         program: the rest.
     """
 
@@ -138,29 +139,22 @@ class StudyProgram(NamedTuple):
     program: Program
 
 
-def several_runs(
-    settings: RunSettings, task: Task, world: World, runs: int, places: int | None = None
-) -> StudyProgram:
+def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> StudyProgram:
     """The program that trains so many runs, which differ in seed and in numbers of their sampler.
 
     Every device has whole runs to itself, so devices never wait for one another within an
-    iteration, and a run is what it would be on one device alone.
-
-    Args:
-        places: for runs, in one program; what is left over repeats the last run and is not given out. A run
-            is the same to the last digit beside any others, though not in another number of places: XLA
-            may then round elsewhere. (default: as many as runs)
+    iteration. A run is the same to the last digit beside any others, though not in a program of another
+    number of runs: XLA may then round elsewhere.
 
     Raises:
         InputError: settings that do not fit one another, or replays that memory cannot hold.
     """
-    places = runs if places is None else places
-    devices = choose_num_devices(None, places)
+    devices = choose_num_devices(None, runs)
     mesh = device_mesh(devices)
     sampler = settings.sampler.make(num_configs(world.table))
     check_contracts(settings, task, world, sampler)
     agent = settings.agent.make(task, sampler)
-    check_memory(agent.replay_bytes * places, devices)
+    check_memory(agent.replay_bytes * runs, devices)
     world, about = everywhere(world, mesh), settings.evaluation
     run = make_episode_runner(task, agent, greedy=about.greedy, seed=about.seed)
     eval_set = settings.task.eval_set(world)
@@ -193,14 +187,7 @@ def several_runs(
         return jax.jit(sharded, compiler_options=compiler_options(runs_once=one is init), **options)
 
     def filled(values: Sequence[float], dtype: Any) -> np.ndarray:
-        return np.pad(np.asarray(values, dtype), (0, places - runs), mode="edge")
-
-    def kept(tree: Any) -> Any:
-        return jax.tree.map(lambda leaf: leaf[:runs], tree) if runs < places else tree
-
-    def iterate_kept(state: TrainState) -> tuple[TrainState, Metrics]:
-        state, metrics = iterate_all(world, state)
-        return state, kept(metrics)
+        return np.pad(np.asarray(values, dtype), (0, runs - len(values)), mode="edge")
 
     probabilities = jax.jit(jax.vmap(sampler.probabilities))
     # The numbers are in the sampler's state, so one `iterate` serves all.
@@ -215,9 +202,9 @@ def several_runs(
             runs,
             eval_set,
             agent.steps_per_iteration,
-            iterate_kept,
-            lambda state: kept(jax.device_get(evaluate_all(eval_world, state.learner))),
-            lambda state: np.asarray(state.counts)[:runs],
-            lambda state: np.asarray(probabilities(state.sampler))[:runs],
+            lambda state: iterate_all(world, state),
+            lambda state: jax.device_get(evaluate_all(eval_world, state.learner)),
+            lambda state: np.asarray(state.counts),
+            lambda state: np.asarray(probabilities(state.sampler)),
         ),
     )
