@@ -23,8 +23,8 @@ from pecjax.envs.task import take_configs
 from pecjax.plotting.maps import draw_places, floor_plan
 from pecjax.plotting.style import BLUE, PAGE, RED, SMALL, STYLE, legend_below
 from pecjax.training.build import Run
-from pecjax.training.evaluation import EvalResult
 from pecjax.training.load import open_run
+from pecjax.training.run_episodes import EvalResult
 from pecjax.viewing.recording import map_of
 
 HERE = Path(__file__).parent

@@ -10,8 +10,8 @@ from pecjax.studies.catalogue import find_study
 from pecjax.studies.collect import Collected
 from pecjax.studies.directory import StudyDirectory
 from pecjax.studies.grid import StudySettings
-from pecjax.training.evaluation import EvalResult
 from pecjax.training.rows import configuration_arrays, episode_arrays, evaluation_row, metrics_row
+from pecjax.training.run_episodes import EvalResult
 from pecjax.training.settings import override
 
 BATCH = 16_384  # environment steps an iteration

@@ -10,9 +10,9 @@ from pecjax.envs.task import EvalSet
 from pecjax.plotting.evaluation import evaluation
 from pecjax.storage.files import csv_text, joined_tables
 from pecjax.training.eval_report import BINS, make_report
-from pecjax.training.evaluation import EvalResult
 from pecjax.training.measures import cvar, figures_of, spl, unbiased_cvar
 from pecjax.training.rows import evaluation_row
+from pecjax.training.run_episodes import EvalResult
 
 
 def flights(config_id, success, path_length=None):

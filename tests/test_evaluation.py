@@ -14,13 +14,8 @@ from pecjax.agents import PPO, device_mesh
 from pecjax.agents.networks import NetworkSettings
 from pecjax.envs.axes import fill
 from pecjax.envs.task import World, take_configs
-from pecjax.training.evaluation import (
-    EvalResult,
-    make_evaluator,
-    run_episodes,
-    stratified_config_ids,
-    success_by_config,
-)
+from pecjax.training.evaluation import make_evaluator, stratified_config_ids
+from pecjax.training.run_episodes import SIDE_BY_SIDE, EvalResult, run_episodes, success_by_config
 
 # Steering straight at the goal reaches the first, hits a wall on the way to the second, and runs
 # out of steps on the way to the third.
@@ -256,7 +251,9 @@ def test_the_world_is_an_argument_of_the_program():
 
 
 def test_an_episode_is_the_same_beside_whichever_others_it_is_flown():
-    keys, config_id = jax.random.split(jax.random.key(4), 40), jnp.arange(40) % 3
+    """Also where more are flown than take steps at a time."""
+    number = 2 * SIDE_BY_SIDE + 40
+    keys, config_id = jax.random.split(jax.random.key(4), number), jnp.arange(number) % 3
 
     def act(obs, key):
         return jax.random.bernoulli(key, 0.2).astype(jnp.int32)
@@ -264,6 +261,6 @@ def test_an_episode_is_the_same_beside_whichever_others_it_is_flown():
     def fly(some):
         return run_episodes(TwoStates(), WORLD, act, keys[some], config_id[some])
 
-    together, few = fly(slice(0, 40)), fly(slice(29, 33))
+    together, few = fly(slice(0, number)), fly(slice(29, 33))
     jax.tree.map(lambda of_all, of_few: np.testing.assert_array_equal(of_all[29:33], of_few), together, few)
     assert len(set(together.lengths.tolist())) > 5 and together.success.all()

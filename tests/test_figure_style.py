@@ -20,7 +20,7 @@ from pecjax.plotting.evaluation import evaluation
 from pecjax.plotting.maps import rooms
 from pecjax.studies.tables import read_study
 from pecjax.training.eval_report import make_report
-from pecjax.training.evaluation import EvalResult
+from pecjax.training.run_episodes import EvalResult
 
 # Machado, Oliveira and Fernandes (2009), severity 1: what linear RGB becomes for a colour-blind eye.
 COLOUR_BLIND = {

@@ -19,8 +19,8 @@ from pecjax.studies.directory import StudyDirectory
 from pecjax.studies.grid import shown_space, space_name
 from pecjax.studies.run import run_study
 from pecjax.studies.tables import read_study
-from pecjax.training.evaluation import EvalResult
 from pecjax.training.rows import evaluation_row
+from pecjax.training.run_episodes import EvalResult
 
 # 0.2 and its neighbours among doubles and floats, and α in all the ways that Python writes one.
 ALPHAS = (0.2, 0.2000001, 0.20000001, 0.20000000000000004, 0.1 + 0.2, 1e-9, 3.0, 12345678.9, 1e22)

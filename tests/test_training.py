@@ -19,13 +19,13 @@ from pecjax.runtime import devices
 from pecjax.studies.catalogue import find_study
 from pecjax.training import build as assembly, presets, train as training
 from pecjax.training.checkpoint import Checkpoints
-from pecjax.training.evaluation import success_by_config
 from pecjax.training.load import open_run
 from pecjax.training.loop import Position
 from pecjax.training.measures import cvar
 from pecjax.training.presets import PRESETS
 from pecjax.training.program import compile_evaluator
 from pecjax.training.run_directory import RunDirectory
+from pecjax.training.run_episodes import success_by_config
 from pecjax.training.run_tables import configuration_table, trajectory_table
 from pecjax.training.settings import StopSettings, override
 from pecjax.training.sinks import Sink

@@ -17,7 +17,7 @@ from pecjax.envs.rooms.config import Configurations
 from pecjax.envs.rooms.spaces.features import features
 from pecjax.envs.task import num_configs
 from pecjax.training.eval_report import Report, make_report
-from pecjax.training.evaluation import success_by_config
+from pecjax.training.run_episodes import success_by_config
 
 MOST_LINES = 60  # of configurations; of more than that,
 LOWEST = 20  # so many are listed

@@ -12,9 +12,9 @@ from pecjax.commands.options import Option, Strings
 from pecjax.envs.rooms.settings import Rooms
 from pecjax.envs.rooms.spaces.elsewhere import evaluated_rooms
 from pecjax.errors import InputError
-from pecjax.training.evaluation import EvalResult
 from pecjax.training.load import Trained, open_run
 from pecjax.training.program import compile_evaluator
+from pecjax.training.run_episodes import EvalResult
 from pecjax.training.settings import EvaluationSettings, check_settings
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from pecjax.storage.files import Row
-from pecjax.training.evaluation import success_by_config
 from pecjax.training.measures import unbiased_cvar
+from pecjax.training.run_episodes import success_by_config
 from pecjax.training.sinks import Sink
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from pecjax.envs.task import EvalSet, num_configs
-from pecjax.training.evaluation import EvalResult
 from pecjax.training.measures import by_group, figures_of, only
+from pecjax.training.run_episodes import EvalResult
 
 BINS = 5  # of a feature, as many configurations in each
 Report = dict[str, Any]

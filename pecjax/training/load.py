@@ -12,9 +12,9 @@ from pecjax.runtime.devices import choose_num_devices
 from pecjax.training.build import Run, abstract_state, build, everywhere
 from pecjax.training.checkpoint import Checkpoints
 from pecjax.training.demos import find_run
-from pecjax.training.evaluation import EvalResult
 from pecjax.training.program import compile_evaluator
 from pecjax.training.run_directory import RunDirectory
+from pecjax.training.run_episodes import EvalResult
 from pecjax.training.settings import RunSettings
 
 

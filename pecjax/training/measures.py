@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from pecjax.envs.task import EvalSet
-from pecjax.training.evaluation import EvalResult, success_by_config
+from pecjax.training.run_episodes import EvalResult, success_by_config
 
 WORST = 0.1  # the share of the flown configurations that CVaR averages
 PATH_LENGTH = "path_length"  # the metric of a task whose paths have a length, m

@@ -17,7 +17,8 @@ from pecjax.envs.task import EvalSet, Task, World, num_configs
 from pecjax.runtime.devices import check_memory, choose_num_devices, compiler_options
 from pecjax.training.build import Run, abstract_state, everywhere, for_evaluation, observation_bytes
 from pecjax.training.contracts import check_contracts
-from pecjax.training.evaluation import EvalResult, make_episode_runner, make_evaluator, stratified_config_ids
+from pecjax.training.evaluation import make_episode_runner, make_evaluator, stratified_config_ids
+from pecjax.training.run_episodes import SIDE_BY_SIDE, EvalResult
 from pecjax.training.settings import RunSettings
 
 RECORDED_BYTES = 32  # of a step: a pose and an action
@@ -117,7 +118,7 @@ def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable
         InputError: more episodes than memory holds the observations or the recordings of.
     """
     about, devices = settings.evaluation, run.mesh.devices.size
-    seen = observation_bytes(run.task, about.episodes)
+    seen = observation_bytes(run.task, min(about.episodes, SIDE_BY_SIDE * devices))
     check_memory(seen, devices, "the observations of an evaluation take")
     recorded = RECORDED_BYTES * (run.task.max_steps + 1) * about.episodes
     check_memory(recorded, devices, "the recordings of an evaluation take")

@@ -9,8 +9,8 @@ import numpy as np
 from pecjax.agents import Metrics
 from pecjax.envs.task import EvalSet, num_configs
 from pecjax.storage.files import Row
-from pecjax.training.evaluation import EvalResult, success_by_config
 from pecjax.training.measures import by_group, cvar, spl
+from pecjax.training.run_episodes import EvalResult, success_by_config
 
 RECORDED = 2  # episodes of each configuration whose poses and actions are kept
 MOST_RECORDED = 100
