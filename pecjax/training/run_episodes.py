@@ -122,7 +122,7 @@ def run_episodes(
         some, recording = jax.lax.fori_loop(
             0, STRETCH, lambda _, carry: step(keys[which], which, *carry), (some, recording)
         )
-        return jax.tree.map(lambda all, some: all.at[which].set(some), flights, some), recording
+        return jax.tree.map(lambda leaf, part: leaf.at[which].set(part), flights, some), recording
 
     flights, recording = jax.lax.while_loop(
         lambda carry: ~jnp.all(have_ended(carry[0])),
@@ -132,12 +132,11 @@ def run_episodes(
             _start_recording(task, start, actions),
         ),
     )
-    poses = taken = None
-    if recording is not None:
-        beyond = jnp.arange(limit + 1)[:, None] > flights.running.length[:, None, None]
-        poses = jnp.where(beyond, jax.vmap(task.pose)(flights.state)[:, None], recording[0])
-        taken = recording[1]
     running = flights.running
+    poses, taken = (None, None) if recording is None else recording
+    if poses is not None:
+        beyond = jnp.arange(limit + 1)[:, None] > running.length[:, None, None]
+        poses = jnp.where(beyond, jax.vmap(task.pose)(flights.state)[:, None], poses)
     return EvalResult(
         config_id, flights.success, running.episode_return, running.length, flights.metrics, poses, taken
     )
