@@ -135,8 +135,10 @@ def run_episodes(
     running = flights.running
     poses, taken = (None, None) if recording is None else recording
     if poses is not None:
-        beyond = jnp.arange(limit + 1)[:, None] > running.length[:, None, None]
-        poses = jnp.where(beyond, jax.vmap(task.pose)(flights.state)[:, None], poses)
+        times = jnp.arange(limit + 1)[:, None]
+        poses = jax.vmap(lambda length, state, pose: jnp.where(times > length, task.pose(state), pose))(
+            running.length, flights.state, poses
+        )
     return EvalResult(
         config_id, flights.success, running.episode_return, running.length, flights.metrics, poses, taken
     )
