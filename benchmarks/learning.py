@@ -52,7 +52,7 @@ def learner(task: Task, mesh: Mesh, settings: PPO) -> tuple[Workload, Workload]:
     features = encode(space, obs)
     known = encode(task.privileged_space, jax.random.normal(key, (*shape, *task.privileged_space.shape)))
     seen = Seen(obs, known)
-    known = critic_features(task, seen) if network.is_privileged else None
+    known = critic_features(task, seen, settings.network.critic) if network.is_privileged else None
     params = network.init(key, features[0, :1], None if known is None else known[0, :1])
     optimizer = make_optimizer(settings)
     state = Learner(params, optimizer.init(params), jnp.float32(0))
@@ -69,7 +69,7 @@ def learner(task: Task, mesh: Mesh, settings: PPO) -> tuple[Workload, Workload]:
 
         def step(_, row):
             seen, noise = row
-            known = critic_features(task, seen) if network.is_privileged else None
+            known = critic_features(task, seen, settings.network.critic) if network.is_privileged else None
             logits, value, _ = forward(network, params, encode(space, seen.obs), known)
             return None, (distribution.draw(logits, noise), value)
 

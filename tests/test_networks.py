@@ -1,6 +1,7 @@
 """Features, shapes, initial weights, and the wall between actor and critic."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,9 @@ import pytest
 from pecjax.agents.convolutions import patches
 from pecjax.agents.networks import ActorCritic, NetworkSettings, decide, forward
 from pecjax.agents.observations import boxes, encode, image_shapes, num_values
+from pecjax.agents.ppo.agent import critic_features
 from pecjax.agents.products import bfloat16_product
+from pecjax.agents.rollout import Seen
 from pecjax.envs.rooms.sensing import scale
 from pecjax.envs.spaces import Box
 
@@ -182,6 +185,17 @@ def test_images_come_first_in_the_features_whatever_their_place(batch):
     assert image_shapes(MANY) == ((2, 3), (17, 20, 3))
     assert num_values(MANY) == flat.shape[-1] == 6 + 17 * 20 * 3 + 2 + 1 + 1
     assert [box.shape for box in boxes(MANY)] == [(2, 3), (17, 20, 3), (2,), (), (1,)]
+
+
+@pytest.mark.parametrize("batch", [(), (4,), (4, 5)])
+def test_a_critic_is_told_what_is_no_image_and_the_middle_row_of_images(batch):
+    task = SimpleNamespace(observation_space=MANY, privileged_space=Box((6,)))
+    obs, told = some_of_many(*batch), jnp.ones((*batch, 6))
+    others = [obs["a"], obs["c"][0][..., None], obs["d"]]
+    rows = [obs["b"][..., 1, :], obs["c"][1][..., 8, :, :].reshape(*batch, 60)]
+    for critic, parts in (("privileged", [told, *others]), ("privileged_row", [told, *rows, *others])):
+        found = critic_features(task, Seen(obs, told), critic)
+        np.testing.assert_array_equal(found, np.concatenate(parts, axis=-1))
 
 
 @pytest.mark.parametrize("settings", [MLP, CNN], ids=["mlp", "cnn"])

@@ -28,8 +28,9 @@ class NetworkSettings:
         initializer: of the weights: `orthogonal` (gain √2 hidden, 0.01 actor, 1 critic) or
             `normc` (unit-norm columns, 0.01 at both outputs, as in RLlib 0.8.5).
         critic: what the critic reads: `observation` is what the actor reads; `privileged` is what the task
-            tells a critic of its state, with what of the observation is no image. It is the same as
-            `observation` where the task tells nothing, as the rooms do where there are several maps.
+            tells a critic of its state, with what of the observation is no image; `privileged_row` is that
+            with the middle row of images, which is a camera's horizon. Both are the same as `observation`
+            where the task tells nothing, as the rooms do where there are several maps.
         precision: of the operands of matrix products in training, but those of a GRU's memory; sums are
             float32 in any case. What is evaluated, watched and exported computes in float32.
         memory: what the network carries from step to step of an episode: `gru` and `mingru` are of
@@ -42,7 +43,7 @@ class NetworkSettings:
     encoder: Literal["mlp", "cnn"] = "mlp"
     hidden: tuple[int, ...] = (64, 64)
     initializer: Literal["orthogonal", "normc"] = "orthogonal"
-    critic: Literal["privileged", "observation"] = "privileged"
+    critic: Literal["privileged_row", "privileged", "observation"] = "privileged_row"
     precision: Literal["bfloat16", "float32"] = "bfloat16"
     memory: Kind | None = None
     memory_size: int = 64

@@ -34,17 +34,24 @@ def make_network(task: Task, settings: PPO) -> ActorCritic:
     shapes = image_shapes(task.observation_space)
     if settings.network.encoder == "cnn" and not shapes:
         raise InputError("the encoder cnn needs an image among the observations; choose mlp")
-    is_privileged = settings.network.critic == "privileged" and task.privileged_space is not None
+    is_privileged = settings.network.critic != "observation" and task.privileged_space is not None
     return ActorCritic(
         settings.network, make_distribution(task.action_space).num_params, shapes, is_privileged
     )
 
 
-def critic_features(task: Task, seen: Seen) -> jax.Array:
-    """What a privileged critic reads, (…, K): what it is told, and of the observation what is no image."""
-    space, obs = task.observation_space, jax.tree.leaves(seen.obs)
-    others = [flatten(box, obs[place]) for box, place in in_order(space) if not box.is_image]
-    return jnp.concatenate([encode(task.privileged_space, seen.privileged), *others], axis=-1)
+def critic_features(task: Task, seen: Seen, critic: str) -> jax.Array:
+    """What a privileged critic reads, (…, K), see `NetworkSettings`: what it is told, and of what is seen."""
+    parts = [encode(task.privileged_space, seen.privileged)]
+    leaves = jax.tree.leaves(seen.obs)
+    for box, place in in_order(task.observation_space):
+        leaf = leaves[place]
+        if not box.is_image:
+            parts.append(flatten(box, leaf))
+        elif critic == "privileged_row":
+            row = jnp.take(leaf, box.shape[0] // 2, axis=-len(box.shape))
+            parts.append(row.reshape(*leaf.shape[: -len(box.shape)], -1))
+    return jnp.concatenate(parts, axis=-1)
 
 
 def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = None) -> Agent:
@@ -59,7 +66,7 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
 
     def read(seen: Seen) -> tuple[jax.Array, jax.Array | None, jax.Array | None]:
         """The actor's features, the critic's where it has its own, and the memory where there is one."""
-        known = critic_features(task, seen) if network.is_privileged else None
+        known = critic_features(task, seen, settings.network.critic) if network.is_privileged else None
         return encode(space, seen.obs), known, seen.memory
 
     def init(key: jax.Array, world: World, numbers: Mapping[str, jax.Array] | None = None) -> TrainState:
