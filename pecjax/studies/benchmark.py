@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from itertools import product
 from typing import NamedTuple
 
 from pecjax.agents import PPO, Apex
@@ -16,7 +15,7 @@ from pecjax.training.settings import EvaluationSettings, StopSettings
 
 BENCHMARK = "samplers"  # all of its studies; of one the name is samplers-CELL
 SCALES = ("smoke", "laptop", "full", "screening")
-FLIGHTS = 2  # of each held-out configuration, in an evaluation
+FLIGHTS = 2  # of each held-out configuration, in an evaluation; in the screening one
 
 
 class Cell(NamedTuple):
@@ -46,9 +45,9 @@ class Cell(NamedTuple):
 _REMEMBERS = PPO(num_steps=64, num_minibatches=16, network=NetworkSettings(memory="mingru", memory_size=128))
 CELLS: dict[str, Cell] = {
     "paper-2": Cell("paper-2", 362, 192, 12, (0.8, 0.9, 0.95)),
-    "rooms-pairs": Cell("rooms-pairs", 1000, 256, 16, (0.8, 0.9, 0.95)),
-    "rooms-longtail": Cell("rooms-longtail", 1000, 256, 16, (0.8, 0.9, 0.95), "goal_ratio.hard"),
-    "rooms-storm": Cell("rooms-storm", 1000, 256, 16, (0.8, 0.9, 0.95)),
+    "rooms-pairs": Cell("rooms-pairs", 1000, 160, 10, (0.7, 0.8, 0.9)),
+    "rooms-longtail": Cell("rooms-longtail", 1000, 256, 16, (0.3, 0.5, 0.7), "goal_ratio.hard"),
+    "rooms-storm": Cell("rooms-storm", 1000, 192, 12, (0.25, 0.3, 0.35)),
     "floorplans": Cell("floorplans", 1000, 300, 20, (0.8, 0.9, 0.95), agent=_REMEMBERS),
     "tasks": Cell("tasks", 900, 512, 32, (0.8, 0.9, 0.95)),
     "rooms-pairs-apex": Cell("rooms-pairs", 1000, 350, 25, (0.8, 0.9, 0.95), agent=Apex(), seeds=5),
@@ -58,35 +57,30 @@ SCREENING_SEEDS = (100, 101, 102)
 
 
 def _conditions(sampler: str, **numbers: tuple[float, ...]) -> list[Values]:
-    """A sampler with each combination of some of its numbers."""
-    return [
-        (
-            ("sampler", sampler),
-            *((f"sampler.{name}", value) for name, value in zip(numbers, values, strict=True)),
-        )
-        for values in product(*numbers.values())
-    ]
+    """A sampler with its defaults, then with other values of its numbers, each changed alone."""
+    kind = ("sampler", sampler)
+    changed = [(name, value) for name, values in numbers.items() for value in values]
+    return [(kind,), *((kind, (f"sampler.{name}", value)) for name, value in changed)]
 
 
-_ALPHAS, _HALF_LIVES = (0.05, 0.2, 1.0), (5.0, 20.0)
 SCREENING: tuple[Values, ...] = (
     *_conditions("uniform"),
-    *_conditions("pec", alpha=_ALPHAS),
-    *_conditions("forgetting", alpha=_ALPHAS, half_life=_HALF_LIVES),
-    *_conditions("failure_ema", half_life=_HALF_LIVES, power=(1.0, 2.0)),
-    *_conditions("learnability", half_life=_HALF_LIVES),
-    *_conditions("thompson", half_life=_HALF_LIVES),
-    *_conditions("pass_at_n", half_life=_HALF_LIVES, tries=(2.0, 8.0)),
-    *_conditions("table_top", half_life=_HALF_LIVES, tries=(2.0, 8.0)),
-    *_conditions("learning_progress"),
-    *_conditions("dro", half_life=_HALF_LIVES, step=(0.05, 0.2)),
-    *_conditions("plr"),
-    *_conditions("sfl"),
-    *_conditions("floor"),
-    *_conditions("mixture"),
+    *_conditions("pec", alpha=(0.05, 1.0)),
+    *_conditions("forgetting", alpha=(1.0,), half_life=(5.0,)),
+    *_conditions("failure_ema", power=(1.0,), half_life=(3.0,)),
+    *_conditions("learnability", half_life=(10.0,)),
+    *_conditions("thompson", half_life=(3.0,)),
+    *_conditions("pass_at_n", tries=(2.0,), half_life=(3.0,)),
+    *_conditions("table_top", tries=(2.0,), half_life=(3.0,)),
+    *_conditions("learning_progress", fast=(2.0,)),
+    *_conditions("dro", step=(0.2,), half_life=(3.0,)),
+    *_conditions("plr", temperature=(1.0,)),
+    *_conditions("sfl", scoring=(1.0,)),
+    *_conditions("floor", epsilon=(0.3,)),
+    *_conditions("mixture", share=(0.25,)),
     *_conditions("per_step"),
 )
-CONFIRMATION: tuple[Values, ...] = (*_conditions("uniform"), *_conditions("pec", alpha=(0.2,)))
+CONFIRMATION: tuple[Values, ...] = (*_conditions("uniform"), *_conditions("pec"))
 
 
 def _study(name: str, cell: Cell, scale: str) -> StudySettings:
@@ -95,7 +89,9 @@ def _study(name: str, cell: Cell, scale: str) -> StudySettings:
         task=Rooms(space=cell.space),
         agent=cell.agent,
         stop=StopSettings(iterations=cell.iterations),
-        evaluation=EvaluationSettings(every=cell.every, episodes=FLIGHTS * cell.held_out),
+        evaluation=EvaluationSettings(
+            every=cell.every, episodes=cell.held_out * (1 if scale == "screening" else FLIGHTS)
+        ),
     )
     if scale == "smoke":
         run = dataclasses.replace(

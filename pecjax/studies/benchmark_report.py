@@ -121,12 +121,14 @@ def table(name: str, runs: pd.DataFrame, compared: list[files.Row]) -> str:
 
 
 def scores(compared: list[files.Row]) -> str:
-    """A table in Markdown: steps to the middle thresholds over uniform ones, by cell, and their mean.
+    """A table in Markdown: steps to the thresholds over uniform ones, by cell, and their mean.
 
-    The mean is the geometric one, the least come first, and conditions that a cell lacks are left out.
+    Means, over a cell's thresholds and over cells, are geometric, the least come first, and conditions that a
+    cell lacks are left out.
     """
-    first = pd.DataFrame([row for row in compared if row["first"]])
-    logs = np.log1p(first.pivot(index="condition", columns="cell", values="value")).dropna()
+    steps = pd.DataFrame([row for row in compared if row["measure"].startswith(_STEPS)])
+    steps = steps[steps.condition != BASELINE].assign(log=np.log1p(steps.value))
+    logs = steps.pivot_table("log", "condition", "cell", sort=False).dropna()
     ordered = np.expm1(logs.assign(mean=logs.mean(axis=1)).sort_values("mean", kind="stable"))
     lines = [["", *(str(name) for name in ordered.columns)], ["---"] * (1 + len(ordered.columns))]
     lines += [[str(name), *(f"{value:+.0%}" for value in row)] for name, row in ordered.iterrows()]
