@@ -13,7 +13,7 @@ from pecjax.curriculum import SamplerSettings, uniform
 from pecjax.plotting import study as study_figures
 from pecjax.studies import report as study_report
 from pecjax.studies.catalogue import find_study
-from pecjax.studies.grid import StudySettings, fixed, numbers, read_grid
+from pecjax.studies.grid import RunSpec, StudySettings, fixed, read_grid
 from pecjax.studies.run import run_study
 from pecjax.training.presets import PRESETS
 
@@ -50,8 +50,10 @@ def test_what_differs_in_numbers_of_the_sampler_alone_shares_a_program():
         (alike,) = {fixed(member.values) for member in group}
         assert {name for name, _ in alike} == {"sampler", "agent.learning_rate"}
         assert all(dict(alike).items() <= dict(member.values).items() for member in group)
-        names = {tuple(numbers(member)) for member in group}
-        assert names == {{"pec": ("alpha",), OWN: ("floor",), "uniform": ()}[dict(alike)["sampler"]]}
+        varied = GRID.numbers(group)
+        assert [*varied] == {"pec": ["alpha"], OWN: ["floor"], "uniform": []}[dict(alike)["sampler"]]
+        for name, values in varied.items():
+            assert values == [dict(member.values)[f"sampler.{name}"] for member in group]
 
 
 def test_settings_that_are_tried_together_are_tried_with_all_of_the_grid():
@@ -189,6 +191,33 @@ def test_its_figures_have_names_of_their_own(made_up, monkeypatch):
     assert "alpha" not in names  # it would mix learning rates
 
 
+KIND = ("sampler", "forgetting")
+SOME_NUMBERS = ((KIND,), (KIND, ("sampler.alpha", 5.0)), (KIND, ("sampler.half_life", 0.5)))
+
+
+def test_a_number_that_only_some_runs_vary_has_its_default_in_the_others():
+    study = replace(GRID, grid=(RATES,), conditions=SOME_NUMBERS, seeds=(3,))
+    specs = [RunSpec(3, values) for values in SOME_NUMBERS]
+    assert study.numbers(specs) == {"alpha": [0.2, 5.0, 0.2], "half_life": [20.0, 20.0, 0.5]}
+    assert study.numbers(specs[:1]) == {}
+
+
+@pytest.mark.slow
+def test_a_run_with_a_default_is_the_same_beside_one_that_changes_it(tmp_path):
+    study = replace(find_study("fig4", "smoke"), seeds=(3,), grid=(), conditions=SOME_NUMBERS[:2])
+    run_study(study, tmp_path / "together")
+    found = pd.read_csv(tmp_path / "together" / "metrics.csv")
+    both = []
+    for values, alpha in zip(SOME_NUMBERS, (0.2, 5.0), strict=False):
+        folder = tmp_path / f"{alpha}"
+        run_study(replace(study, conditions=(values,)), folder)
+        columns = ["iteration", "episodes", "mean_return"]
+        wanted = pd.read_csv(folder / "metrics.csv")[columns]
+        pd.testing.assert_frame_equal(found[found.alpha == alpha][columns].reset_index(drop=True), wanted)
+        both.append(wanted)
+    assert not both[0].equals(both[1])
+
+
 @pytest.mark.slow
 def test_a_run_of_a_grid_is_the_run_that_its_settings_make(tmp_path):
     smoke = find_study("fig4", "smoke")
@@ -197,7 +226,7 @@ def test_a_run_of_a_grid_is_the_run_that_its_settings_make(tmp_path):
     run_study(study, tmp_path / "grid")
     found = pd.read_csv(tmp_path / "grid" / "metrics.csv")
     assert found.groupby(["sampler.floor", "agent.learning_rate"]).size().tolist() == [4] * 4
-    member = next(m for part in study.batches() for m in part if numbers(m) == {"floor": 0.5})
+    member = next(m for part in study.batches() for m in part if study.numbers([m]) == {"floor": [0.5]})
     settings = study.settings_of(member)
     alone = replace(study, run=settings, grid=(space, own, ("sampler.floor", (0.5,))))
     run_study(alone, tmp_path / "alone")

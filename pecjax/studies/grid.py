@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product, zip_longest
 from pathlib import Path
@@ -86,7 +86,7 @@ class StudySettings:
             settings = self.settings_of(spec)
             check_settings(settings)
             settings.agent.check()
-            _check_numbers(spec, settings)
+            _check_numbers(self.numbers([spec]), settings)
 
     def _check_paths(self) -> None:
         paths = [path for path, _ in self.grid]
@@ -120,6 +120,17 @@ class StudySettings:
         for path, value in values.items():
             settings = settings_tree.set_path(settings, path, value)
         return dataclasses.replace(settings, seed=spec.seed)
+
+    def numbers(self, specs: Sequence[RunSpec]) -> dict[str, list[float]]:
+        """The numbers in the state of the runs' sampler that one of them varies, by name, as each run has them.
+
+        Runs that differ in them share a program.
+        """
+        varied = dict.fromkeys(
+            path for spec in specs for path, value in spec.values if _is_number(path, value)
+        )
+        runs = [dict(settings_tree.leaves(self.settings_of(spec))) for spec in specs]
+        return {path.removeprefix("sampler."): [run[path] for run in runs] for path in varied}
 
     def row(self, spec: RunSpec) -> Row:
         """What tables call a run: a column for each setting that the study varies."""
@@ -177,11 +188,6 @@ def shown_space(name: str) -> str:
     return f"set {name}" if name.isdecimal() else Path(name).stem
 
 
-def numbers(spec: RunSpec) -> dict[str, float]:
-    """The numbers of a run's sampler that are in its state: runs that differ in them share a program."""
-    return {path.removeprefix("sampler."): v for path, v in spec.values if _is_number(path, v)}
-
-
 def fixed(values: Values) -> Values:
     """The values that need a program of their own."""
     return tuple((path, value) for path, value in values if not _is_number(path, value))
@@ -191,11 +197,11 @@ def _is_number(path: str, value: Any) -> bool:
     return path.startswith("sampler.") and isinstance(value, float)
 
 
-def _check_numbers(spec: RunSpec, settings: RunSettings) -> None:
+def _check_numbers(varied: Mapping[str, Sequence[float]], settings: RunSettings) -> None:
     """Makes sure that the sampler's state has the numbers that a study varies in it."""
-    varied, sampler = numbers(spec), settings.sampler.make(1)
+    sampler = settings.sampler.make(1)
     try:
-        jax.eval_shape(lambda: sampler.init(**varied))
+        jax.eval_shape(lambda: sampler.init(**{name: values[0] for name, values in varied.items()}))
     except TypeError as error:
         raise InputError(
             f"sampler {kind_name(settings.sampler)}: its init does not take {', '.join(varied)} ({error}); "

@@ -13,7 +13,7 @@ from pecjax.runtime.signals import Interruption
 from pecjax.storage.files import writing
 from pecjax.studies.collect import Collected
 from pecjax.studies.directory import StudyDirectory
-from pecjax.studies.grid import RunSpec, StudySettings, fixed, numbers
+from pecjax.studies.grid import RunSpec, StudySettings, fixed
 from pecjax.training.loop import Hooks, Position, run_loop
 from pecjax.training.program import StudyProgram, several_runs
 from pecjax.training.sinks import Progress, Sinks
@@ -98,8 +98,6 @@ def _train(
     run = settings.settings_of(specs[0])
     # A study looks at its configurations when it evaluates, and the devices never wait for the host.
     run = dataclasses.replace(run, configurations_every=run.evaluation.every)
-    found = [numbers(spec) for spec in specs]
-    varied = {name: [of_run[name] for of_run in found] for name in found[0]}
     heads = [settings.row(spec) for spec in specs]
     collected = Collected(heads, program.program.eval_set.held_out)
 
@@ -107,7 +105,7 @@ def _train(
         progress.say(f"{collected.diverge(which, iteration, names)}; the other runs continue")
 
     hooks = Hooks(diverged, asked=lambda: bool(interruption.asked), lookahead=run.evaluation.every)
-    state = program.init([spec.seed for spec in specs], varied)
+    state = program.init([spec.seed for spec in specs], settings.numbers(specs))
     with Sinks([collected, progress], collected.names, 0) as sinks:
         ending = run_loop(program.program._replace(num_runs=len(specs)), Position(state), run, sinks, hooks)
     if not ending.finished:
