@@ -122,7 +122,7 @@ class StudySettings:
         return dataclasses.replace(settings, seed=spec.seed)
 
     def numbers(self, specs: Sequence[RunSpec]) -> dict[str, list[float]]:
-        """The numbers in the state of the runs' sampler that one of them varies, by name, as each run has them.
+        """The numbers in the sampler's state that one run varies, by name, as each run has them.
 
         Runs that differ in them share a program.
         """
