@@ -1,7 +1,9 @@
 """The benchmark of samplers: its studies, and a report beside plain loops over its results."""
 
+import shutil
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -18,6 +20,7 @@ from pecjax.training.kinds import make_kind
 
 STEPS = np.arange(1, 11) * 100_000
 SEEDS = range(6)
+STORED = sorted((Path(__file__).parents[1] / "docs" / "results").glob("samplers-*"))
 
 
 def curve(sampler: str, seed: int) -> np.ndarray:
@@ -189,6 +192,15 @@ def test_its_report_is_rebuilt_byte_for_byte(folder, capsys):
     assert [file.read_bytes() for file in files] == before
     with pytest.raises(InputError, match=r"no CELL/results\.csv of paper-2"):
         write_benchmark_report(folder / "rooms-pairs")
+
+
+@pytest.mark.parametrize("stored", STORED, ids=lambda folder: folder.name)
+def test_the_stored_report_is_that_of_the_stored_results(stored, tmp_path):
+    for results in stored.glob("*/results.csv"):
+        shutil.copytree(results.parent, tmp_path / results.parent.name)
+    write_benchmark_report(tmp_path)
+    for name in ("runs.csv", "comparisons.csv", "report.md"):
+        assert (tmp_path / name).read_bytes() == (stored / name).read_bytes()
 
 
 @pytest.mark.slow
