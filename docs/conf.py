@@ -17,7 +17,7 @@ project_copyright = "the authors of pecjax"
 version = release = pecjax.__version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "results"]  # tables, of which pages include some
 nitpicky = True
 nitpick_ignore_regex = [
     (r"py:.*", r"(?!pecjax\b).*"),  # the documentation of others is on the network
