@@ -205,10 +205,15 @@ def learnt(task, settings, iterations, seed=0):
 
 
 @functools.cache
-def trained(kind, length):
-    """A learner of the T-maze after some iterations, in the midst of episodes."""
-    agent, iterate = agent_of(TMaze(), with_memory(kind, length))
+def decided(kind, length):
+    """A learner whose actions depend on what it remembers, in the midst of episodes."""
+    agent, iterate = agent_of(TMaze(), replace(with_memory(kind, length), learning_rate=0.0))
     state = jax.jit(agent.init)(jax.random.key(0), WORLD)
+    # Outputs begin a hundred times smaller than the layers before them.
+    params = jax.tree_util.tree_map_with_path(
+        lambda path, leaf: 100 * leaf if "actor_output" in str(path) else leaf, state.learner.params
+    )
+    state = state._replace(learner=state.learner._replace(params=params))
     for _ in range(20):
         state, _ = iterate(state, WORLD)
     return state
@@ -230,7 +235,7 @@ def test_the_first_look_at_a_batch_finds_the_probabilities_that_it_was_flown_by(
 
         monkeypatch.setattr(ppo_agent, "prepare", without)
     _, iterate = agent_of(TMaze(), replace(with_memory(kind, length), learning_rate=0.0))
-    state, differences = trained(kind, length), []
+    state, differences = decided(kind, length), []
     for _ in range(4):
         state, metrics = iterate(state, WORLD)
         differences.append(abs(float(metrics.losses["kl"])))
