@@ -5,8 +5,7 @@ import pandas as pd
 import pytest
 from synthetic import study_settings, write_study
 
-from pecjax.studies.directory import StudyDirectory
-from pecjax.studies.shares import KINDS, kinds_of, shares, write_shares
+from pecjax.studies.shares import KINDS, kinds_of, mean_shares, shares, write_shares
 
 
 def test_kinds_are_by_the_goal_ratio_of_all_runs_together():
@@ -27,15 +26,17 @@ def test_kinds_end_where_they_say(ratio, kind):
     assert (kinds_of(trials, failures) == kind).all()
 
 
-def test_a_study_has_a_row_for_each_condition_and_evaluation(tmp_path):
+def test_a_study_has_a_row_for_each_run_and_evaluation(tmp_path):
     folder = write_study(tmp_path, study_settings(), lambda run, part: part)
     write_shares(folder)
     found = pd.read_csv(folder / "shares.csv")
-    settings = StudyDirectory(folder).settings()
     results = pd.read_csv(folder / "results.csv")
-    assert list(found) == ["condition", "env_steps", *KINDS]
-    assert set(found.env_steps) == set(results.env_steps)
-    assert len(found) == len({spec.values for part in settings.batches() for spec in part}) * len(
-        set(found.env_steps)
-    )
+    assert list(found) == ["condition", "seed", "env_steps", *KINDS]
+    assert len(found) == len(results) and set(found.env_steps) == set(results.env_steps)
     np.testing.assert_allclose(found[[*KINDS]].sum(axis=1), 1, rtol=1e-6)
+    means = mean_shares(found)
+    first = found[(found.condition == found.condition[0]) & (found.env_steps == found.env_steps[0])]
+    assert len(first) == results.seed.nunique() > 1
+    np.testing.assert_allclose(
+        means.loc[0, [*KINDS]].tolist(), [sum(first[kind]) / len(first) for kind in KINDS]
+    )

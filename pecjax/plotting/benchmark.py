@@ -25,7 +25,7 @@ from pecjax.storage.tables import read_table
 from pecjax.studies.benchmark import CELLS
 from pecjax.studies.benchmark_report import read_cells
 from pecjax.studies.report import BASELINE
-from pecjax.studies.shares import KINDS
+from pecjax.studies.shares import mean_shares, read_shares
 
 IN_ROW = 3  # panels
 MATTERS = -0.2  # the effect that would matter, see docs/benchmark.md
@@ -44,10 +44,7 @@ def draw_benchmark(folder: Path) -> list[Path]:
     paths = save(steps(compared), folder / "figures" / "steps") if len(conditions) > 1 else []
     if len(conditions) <= len(COLORS):
         paths += save(curves(cells), folder / "figures" / "curves")
-        drawn = {name: folder / name / "shares.csv" for name in cells}
-        found = {
-            name: read_table(path, {"env_steps", *KINDS}) for name, path in drawn.items() if path.is_file()
-        }
+        found = read_shares(folder, cells)
         if found:
             paths += save(shares(found), folder / "figures" / "shares")
     return paths
@@ -81,7 +78,7 @@ def shares(cells: Mapping[str, pd.DataFrame]) -> Figure:
     """The share of the draws that went to what is learnable in each cell, and to what is out of reach."""
     figure, panels = _panels(len(cells), 1.9)
     for axes, table in zip(panels, cells.values(), strict=True):
-        for place, (condition, rows) in enumerate(by_condition(table)):
+        for place, (condition, rows) in enumerate(by_condition(mean_shares(table))):
             style = style_of(place) | {"marker": ""}
             along = rows.env_steps.to_numpy() / 1e6
             axes.plot(along, rows.learnable.to_numpy(), label=condition, **style)

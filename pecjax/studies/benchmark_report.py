@@ -14,6 +14,7 @@ from pecjax.storage.tables import read_table
 from pecjax.studies.benchmark import CELLS, Cell
 from pecjax.studies.comparison import difference, holm, relative, steps_to
 from pecjax.studies.report import BASELINE
+from pecjax.studies.shares import KINDS, mean_shares, read_shares
 from pecjax.studies.statistics import area_under_curve
 from pecjax.studies.tables import conditions_of
 
@@ -135,6 +136,33 @@ def scores(compared: list[files.Row]) -> str:
     return _markdown(lines)
 
 
+def draws(cell: Cell, runs: pd.DataFrame, compared: list[files.Row], shares: pd.DataFrame) -> str:
+    """A table in Markdown: where draws went until half of the uniform runs had the middle threshold.
+
+    κ is the share of what is learnable over that share of uniform sampling. If nothing else taught anything,
+    and every episode of it the same, then 1/κ of the steps would be needed.
+
+    Args:
+        runs: of `by_run`.
+        compared: of `compare`, the rows of the cell.
+        shares: rows of `shares.csv`.
+    """
+    middle = _steps(cell.thresholds[1])
+    until = runs[runs.condition == BASELINE][middle].median()
+    along = mean_shares(shares.loc[shares.env_steps <= max(until, shares.env_steps.min())])
+    groups = along.groupby("condition", sort=False)
+    means = {str(condition): rows[[*KINDS]].to_numpy().mean(axis=0) for condition, rows in groups}
+    learnable = KINDS.index("learnable")
+    found = {row["condition"]: row["value"] for row in compared if row["first"] and row["measure"] == middle}
+    heads = ["", *(kind.replace("_", " ") for kind in KINDS), "κ", "1/κ - 1", "steps, over uniform"]
+    lines = [heads, ["---"] * len(heads)]
+    for condition, of in means.items():
+        kappa = of[learnable] / means[BASELINE][learnable]
+        line = [condition, *(f"{share:.2f}" for share in of), f"{kappa:.2f}", f"{1 / kappa - 1:+.0%}"]
+        lines.append([*line, f"{found[condition]:+.0%}" if condition in found else ""])
+    return _markdown(lines)
+
+
 def _markdown(lines: list[list[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
@@ -159,6 +187,9 @@ def write_benchmark_report(folder: Path) -> str:
         f"## {name}: {seeds[name]} seed{'s' * (seeds[name] > 1)}\n\n{table(name, rows, compared)}"
         for name, rows in runs.items()
     ]
+    for name, shares in read_shares(folder, runs).items():
+        of_cell = [row for row in compared if row["cell"] == name]
+        parts.append(f"## {name}: draws\n\n{draws(CELLS[name], runs[name], of_cell, shares)}")
     if any(row["first"] for row in compared):
         parts.append(f"## All together\n\n{scores(compared)}")
     text = "\n".join(parts)

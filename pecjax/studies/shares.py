@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ def shares(trials: np.ndarray, kinds: np.ndarray) -> np.ndarray:
 
 
 def write_shares(folder: Path) -> None:
-    """Writes `shares.csv` into a study's folder: a row a condition and evaluation, the means of its runs."""
+    """Writes `shares.csv` into a study's folder: a row a run and evaluation."""
     directory = StudyDirectory(folder)
     tables, counts = [], []
     for path, arrays in directory.configurations(len(directory.settings().batches())):
@@ -51,5 +52,25 @@ def write_shares(folder: Path) -> None:
     found = shares(trials, kinds_of(trials, failures))  # in the order of the tables' rows
     rows = pd.concat(tables, ignore_index=True)
     rows = rows.assign(condition=conditions_of(rows), **dict(zip(KINDS, found.reshape(-1, 3).T, strict=True)))
-    means = rows.groupby(["condition", "env_steps"], sort=False)[[*KINDS]].mean().reset_index()
-    files.replace_file(folder / "shares.csv", files.csv_text(means.to_dict("records")))
+    columns = ["condition", "seed", "env_steps", *KINDS]
+    files.replace_file(folder / "shares.csv", files.csv_text(rows.loc[:, columns].to_dict("records")))
+
+
+def read_shares(folder: Path, cells: Iterable[str]) -> dict[str, pd.DataFrame]:
+    """The rows of each cell's `shares.csv`, of those that have one.
+
+    Raises:
+        InputError: one is not such a table.
+    """
+    paths = {name: folder / name / "shares.csv" for name in cells}
+    columns = {"env_steps", *KINDS}
+    return {name: read_table(path, columns) for name, path in paths.items() if path.is_file()}
+
+
+def mean_shares(rows: pd.DataFrame) -> pd.DataFrame:
+    """A row a condition and evaluation, the means of its runs.
+
+    Args:
+        rows: of `shares.csv`.
+    """
+    return rows.groupby(["condition", "env_steps"], sort=False)[[*KINDS]].mean().reset_index()
