@@ -1,4 +1,4 @@
-"""The pictures of results.md that the tables of docs/results hold all numbers of.
+"""The pictures of paper.md that the tables of docs/results hold all numbers of.
 
     python docs/results_pictures.py              # into docs/images/results
 
@@ -39,7 +39,7 @@ def figures_of(name: str) -> dict[str, Figure]:
 
 def main(words: list[str] | None = None) -> None:
     """Draws them all."""
-    parser = argparse.ArgumentParser(description="Pictures of results.md, from the tables beside it.")
+    parser = argparse.ArgumentParser(description="Pictures of paper.md, from the tables beside it.")
     parser.add_argument("--out", type=Path, default=HERE / "images" / "results")
     out = parser.parse_args(words).out
     out.mkdir(parents=True, exist_ok=True)

@@ -135,7 +135,7 @@ ipywidgets.interactive(
 # ## Conclusion
 #
 # On these twenty pairs α hardly matters: the five values end between 0.988 and 0.998, in no order, and with
-# five seeds (`docs/results.md`) between 0.993 and 0.995. The counts say why.
+# five seeds (`docs/paper.md`) between 0.993 and 0.995. The counts say why.
 #
 # - **Fresh**, nearly everything fails. All failure ratios are near 1, and PEC draws almost as uniform
 #   sampling does, whatever α is.

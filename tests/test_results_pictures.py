@@ -29,7 +29,7 @@ def test_steps_are_those_of_the_table(name):
 
 
 def test_every_picture_is_one_of_the_page():
-    page = (DOCS / "results.md").read_text()
+    page = (DOCS / "paper.md").read_text()
     for name in pictures.TITLES:
         for stem in pictures.figures_of(name):
             assert f"images/results/{stem}.png" in page
