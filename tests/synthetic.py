@@ -17,6 +17,7 @@ from pecjax.training.settings import override
 BATCH = 16_384  # environment steps an iteration
 EVALUATIONS, EVERY = 8, 5  # iterations between evaluations
 EPISODES = 10  # of each configuration, a training iteration and an evaluation
+LENGTH = 80  # steps of each
 
 
 def study_settings(alphas=(0.2,), seeds=(0, 1, 2), coordinates=("1",), samplers=("pec", "uniform")):
@@ -65,7 +66,7 @@ def add(collected, iteration, size, value):
 def made_counts(size, ratio):
     trials = np.full(size, EPISODES)
     failures = np.round(trials * (1 - ratio) * np.linspace(0.5, 1.5, size)).clip(0, EPISODES)
-    return np.stack([trials, failures]).astype(int)
+    return np.stack([trials, failures, trials * LENGTH]).astype(int)
 
 
 def made_metrics(ratio):

@@ -162,7 +162,7 @@ def test_uniform_sampling_alone_has_a_report(tmp_path):
     assert [path.name for path in figures.draw_benchmark(tmp_path)] == ["curves.pdf", "curves.png"]
 
 
-def test_draws_are_counted_until_uniform_sampling_is_half_way(folder):
+def test_where_steps_went_is_counted_until_uniform_sampling_is_half_way(folder):
     """And κ is the share of what is learnable over that of uniform sampling."""
     per_run = pd.DataFrame(
         {"condition": condition, "seed": seed, "env_steps": at, "out_of_reach": 0.5 - learnable}
@@ -172,7 +172,7 @@ def test_draws_are_counted_until_uniform_sampling_is_half_way(folder):
     )
     per_run.to_csv(folder / "rooms-pairs" / "shares.csv", index=False)
     text = write_benchmark_report(folder)
-    part = text.partition("## rooms-pairs: draws")[2].partition("##")[0]
+    part = text.partition("## rooms-pairs: where steps went")[2].partition("##")[0]
     rows = {line.split(" | ")[0].strip("| "): line for line in part.splitlines() if line.startswith("| ")}
     middle = CELLS["rooms-pairs"].thresholds[1]
     until = np.median([np.interp(middle, curve("uniform", seed), STEPS) for seed in SEEDS])
@@ -183,7 +183,7 @@ def test_draws_are_counted_until_uniform_sampling_is_half_way(folder):
     compared = pd.read_csv(folder / "comparisons.csv").query("first and cell == 'rooms-pairs'")
     found = compared.set_index("condition").value["pec, α = 0.2"]
     assert rows["pec, α = 0.2"] == f"| pec, α = 0.2 | {figures}{found:+.0%} |"
-    assert rows["uniform"].endswith("| 1.00 | +0% |  |") and "## rooms-storm: draws" not in text
+    assert rows["uniform"].endswith("| 1.00 | +0% |  |") and "## rooms-storm: where" not in text
 
 
 def test_a_run_that_is_missing_never_reached_anything():

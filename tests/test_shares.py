@@ -1,4 +1,4 @@
-"""Shares of a sampler's draws, by what could be learned from them, beside counting by hand."""
+"""Shares of a training's steps, by what could be learned from them, beside counting by hand."""
 
 import numpy as np
 import pandas as pd
@@ -13,10 +13,11 @@ def test_kinds_are_by_the_goal_ratio_of_all_runs_together():
     trials = np.array([[[40, 30, 20, 1]], [[40, 30, 20, 0]]])
     failures = np.array([[[40, 0, 0, 1]], [[40, 0, 20, 0]]])
     assert kinds_of(trials, failures).tolist() == [[0, 2, 1, 1]]
-    found = shares(trials, kinds_of(trials, failures))
-    np.testing.assert_allclose(found[0, 0], [40 / 91, 21 / 91, 30 / 91])
+    steps = trials * np.array([5, 10, 20, 100])
+    found = shares(steps, kinds_of(trials, failures))
+    np.testing.assert_allclose(found[0, 0], [200 / 1000, 500 / 1000, 300 / 1000])
     np.testing.assert_allclose(found.sum(axis=-1), 1)
-    assert (shares(0 * trials, kinds_of(trials, failures)) == 0).all(), "of no draws there are no shares"
+    assert (shares(0 * steps, kinds_of(trials, failures)) == 0).all(), "of no steps there are no shares"
 
 
 @pytest.mark.parametrize(("ratio", "kind"), [(0.0, 0), (0.05, 0), (0.2, 1), (0.8, 1), (0.95, 2), (1.0, 2)])

@@ -247,7 +247,7 @@ def test_a_run_of_a_study_is_the_run_that_train_would_make(sampler, alpha, seed,
     found = counted(study)[part]
     for place, iteration in enumerate(found["iteration"]):
         counts, flown = (RunDirectory(folder).arrays(f, iteration) for f in ("configurations", "episodes"))
-        for name in ("trials", "failures"):
+        for name in ("trials", "failures", "steps"):
             np.testing.assert_array_equal(found[name][run, place], counts[name])
         ratios = [flown["success"][flown["config_id"] == config].mean() for config in range(3)]
         np.testing.assert_allclose(found["goal_ratio"][run, place], ratios)

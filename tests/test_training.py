@@ -117,7 +117,7 @@ def test_arrays_of_all_configurations_and_episodes(run):
     for iteration in (1, 2, 4, 5):
         arrays = directory.arrays("configurations", iteration)
         assert {name: array.shape for name, array in arrays.items()} == dict.fromkeys(
-            ("trials", "failures", "probability"), (20,)
+            ("trials", "failures", "steps", "probability"), (20,)
         )
     assert directory.iterations("episodes") == [2, 4, 5]
     of_task = {"collision", "path_length", "timeout", "unstable"}
@@ -145,7 +145,7 @@ def test_rows_come_when_they_should_and_count_their_steps(tables):
     assert np.all(tables["configurations"].groupby("iteration").config.apply(list).map(len) == 20)
 
 
-def test_counts_of_configurations_add_up_to_the_metrics(tables):
+def test_counts_of_configurations_add_up_to_the_metrics(run, tables):
     metrics = tables["metrics"].set_index("iteration")
     totals = tables["configurations"].groupby("iteration")[["trials", "failures"]].sum()
     episodes = metrics.episodes.cumsum()
@@ -156,6 +156,10 @@ def test_counts_of_configurations_add_up_to_the_metrics(tables):
     # What has ended has reached its goal, hit something or run out of time.
     endings = metrics[["goal_ratio", "collision", "timeout"]].sum(axis=1)[metrics.episodes > 0]
     np.testing.assert_allclose(endings, 1, rtol=1e-6)
+    directory = RunDirectory(run[0])
+    steps = [directory.arrays("configurations", iteration)["steps"].sum() for iteration in totals.index]
+    flown = (metrics.episodes * metrics.mean_length.fillna(0)).cumsum()
+    np.testing.assert_allclose(steps, flown.loc[totals.index], rtol=1e-5)
     # An episode's mean length, times their number, cannot exceed the steps flown.
     assert np.all((metrics.episodes * metrics.mean_length.fillna(0)).cumsum() <= metrics.env_steps)
 

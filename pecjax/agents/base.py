@@ -24,7 +24,7 @@ class TrainState(NamedTuple):
     Attributes:
         learner: parameters and optimiser, the agent's own.
         sampler: the sampler's state.
-        counts: (2, N) int32, trials and failures of each configuration since the beginning.
+        counts: (3, N) int32, trials, failures and steps of each configuration since the beginning.
         envs: the environments and what the agent keeps of each; the only part that is spread over
             devices, by its leading axis.
         key: for all randomness to come.

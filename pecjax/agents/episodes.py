@@ -1,4 +1,4 @@
-"""Episodes: sums over running episodes, and what is reported when they end."""
+"""Episodes: sums over running episodes, and what is reported and counted when they end."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from pecjax.curriculum.base import Outcomes
+from pecjax.curriculum.base import Outcomes, by_config, count_outcomes
 from pecjax.envs.task import Reduction, Transition
 
 _START = {"sum": 0.0, "mean": 0.0, "min": jnp.inf, "max": -jnp.inf}
@@ -91,6 +91,18 @@ def sum_over_episodes(before: jax.Array, scores: jax.Array, done: jax.Array) -> 
 
     left, sums = jax.lax.scan(step, before, (scores, done.astype(bool)))
     return sums, left
+
+
+def no_counts(num_configs: int) -> jax.Array:
+    """Of configurations that nobody has tried: (3, N) int32, trials, failures and steps."""
+    return jnp.zeros((3, num_configs), jnp.int32)
+
+
+def add_counts(counts: jax.Array, outcomes: Outcomes, axis_name: str | None) -> jax.Array:
+    """The counts (3, N) with the trials, failures and steps of episodes that have ended."""
+    number = counts.shape[1]
+    steps = by_config(outcomes, "length", number, axis_name=axis_name).astype(jnp.int32)
+    return counts + jnp.concatenate([count_outcomes(outcomes, number, axis_name), steps[None]])
 
 
 def reset_where(done: jax.Array, fresh: Any, old: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The figures of the benchmark of samplers: curves and draws in each space, steps beside uniform ones."""
+"""The figures of the benchmark of samplers: curves, steps to thresholds and where steps went, by space."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def curves(cells: Mapping[str, pd.DataFrame]) -> Figure:
 
 @styled
 def shares(cells: Mapping[str, pd.DataFrame]) -> Figure:
-    """The share of the draws that went to what is learnable in each cell, and to what is out of reach."""
+    """The share of the steps that went to what is learnable in each cell, and to what is out of reach."""
     figure, panels = _panels(len(cells), 1.9)
     for axes, table in zip(panels, cells.values(), strict=True):
         for place, (condition, rows) in enumerate(by_condition(mean_shares(table))):
@@ -84,7 +84,7 @@ def shares(cells: Mapping[str, pd.DataFrame]) -> Figure:
             axes.plot(along, rows.learnable.to_numpy(), label=condition, **style)
             axes.plot(along, rows.out_of_reach.to_numpy(), **style | {"linewidth": 0.6})
         axes.set(xlabel="Environment steps (millions)", ylim=RATIO_LIMITS, xlim=(0, None))
-        axes.set_ylabel("Share of draws" if axes.get_subplotspec().is_first_col() else "")
+        axes.set_ylabel("Share of steps" if axes.get_subplotspec().is_first_col() else "")
     name_panels(panels, [_title(name) for name in cells])
     legend_below(figure, title="Bold: learnable; thin: out of reach; the rest is mastered")
     return figure

@@ -136,11 +136,11 @@ def scores(compared: list[files.Row]) -> str:
     return _markdown(lines)
 
 
-def draws(cell: Cell, runs: pd.DataFrame, compared: list[files.Row], shares: pd.DataFrame) -> str:
-    """A table in Markdown: where draws went until half of the uniform runs had the middle threshold.
+def spent(cell: Cell, runs: pd.DataFrame, compared: list[files.Row], shares: pd.DataFrame) -> str:
+    """A table in Markdown: where steps went until half of the uniform runs had the middle threshold.
 
     κ is the share of what is learnable over that share of uniform sampling. If nothing else taught anything,
-    and every episode of it the same, then 1/κ of the steps would be needed.
+    and every step of it the same, then 1/κ of the steps would be needed.
 
     Args:
         runs: of `by_run`.
@@ -189,7 +189,7 @@ def write_benchmark_report(folder: Path) -> str:
     ]
     for name, shares in read_shares(folder, runs).items():
         of_cell = [row for row in compared if row["cell"] == name]
-        parts.append(f"## {name}: draws\n\n{draws(CELLS[name], runs[name], of_cell, shares)}")
+        parts.append(f"## {name}: where steps went\n\n{spent(CELLS[name], runs[name], of_cell, shares)}")
     if any(row["first"] for row in compared):
         parts.append(f"## All together\n\n{scores(compared)}")
     text = "\n".join(parts)

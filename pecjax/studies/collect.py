@@ -55,9 +55,9 @@ class Collected(Sink):
             self._tables[table][run].append(self._heads[run] | row)
 
     def arrays(self, name: str, iteration: int, arrays: Sequence[dict[str, Any]]) -> None:
-        """Keeps trials, failures and the goal ratio of every configuration; rows get their unbiased CVaR."""
+        """Keeps counts and the goal ratio of every configuration; rows get their unbiased CVaR."""
         if name == "configurations":
-            kept = [{part: of_run[part] for part in ("trials", "failures")} for of_run in arrays]
+            kept = [{part: of_run[part] for part in ("trials", "failures", "steps")} for of_run in arrays]
             self._counted.append((iteration, kept))
         elif name == "episodes":  # of the same iteration, and of the last row of the evaluations
             for of_run, flown, rows in zip(
@@ -78,11 +78,11 @@ class Collected(Sink):
         return [row for run in self._whole() for row in self._tables[name][run]]
 
     def configurations(self) -> dict[str, np.ndarray]:
-        """Trials, failures and goal ratios (R, V, N) of these runs, and their iterations (V,)."""
+        """Trials, failures, steps and goal ratios (R, V, N) of these runs, and their iterations (V,)."""
         counted = [(iteration, arrays) for iteration, arrays in self._counted if "goal_ratio" in arrays[0]]
         found = {
             name: np.array([[arrays[run][name] for _, arrays in counted] for run in self._whole()])
-            for name in ("trials", "failures", "goal_ratio")
+            for name in ("trials", "failures", "steps", "goal_ratio")
         }
         return {"iteration": np.array([iteration for iteration, _ in counted]), **found}
 

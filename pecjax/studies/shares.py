@@ -1,4 +1,4 @@
-"""Shares: how many of a sampler's draws were of what was mastered, could be learned, or was out of reach."""
+"""Shares: how much of a training was spent on what was mastered, could be learned, or was out of reach."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ def kinds_of(trials: np.ndarray, failures: np.ndarray) -> np.ndarray:
     return np.digitize(ratios, [REACH, 1 - REACH])
 
 
-def shares(trials: np.ndarray, kinds: np.ndarray) -> np.ndarray:
-    """Of the draws (R, V, N) of each run between two evaluations, the share (R, V, 3) of each kind (V, N)."""
-    of_kind = [np.where(kinds == kind, trials, 0).sum(axis=-1) for kind in range(len(KINDS))]
-    return np.stack(of_kind, axis=-1) / np.maximum(trials.sum(axis=-1), 1)[..., None]
+def shares(steps: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+    """Of the steps (R, V, N) of each run between two evaluations, the share (R, V, 3) of each kind (V, N)."""
+    of_kind = [np.where(kinds == kind, steps, 0).sum(axis=-1) for kind in range(len(KINDS))]
+    return np.stack(of_kind, axis=-1) / np.maximum(steps.sum(axis=-1), 1)[..., None]
 
 
 def write_shares(folder: Path) -> None:
@@ -43,13 +43,13 @@ def write_shares(folder: Path) -> None:
     directory = StudyDirectory(folder)
     tables, counts = [], []
     for path, arrays in directory.configurations(len(directory.settings().batches())):
-        if arrays["trials"].size:  # not of a batch whose runs all diverged
+        if arrays["trials"].size and "steps" in arrays:  # neither all diverged nor of a version without steps
             tables.append(read_table(path / "results.csv", {"seed", "iteration", "env_steps"}))
-            counts.append(np.stack([arrays["trials"], arrays["failures"]]))
+            counts.append(np.stack([arrays[name] for name in ("trials", "failures", "steps")]))
     if not counts:
         return
-    trials, failures = np.diff(np.concatenate(counts, axis=1), axis=2, prepend=0)
-    found = shares(trials, kinds_of(trials, failures))  # in the order of the tables' rows
+    trials, failures, steps = np.diff(np.concatenate(counts, axis=1), axis=2, prepend=0)
+    found = shares(steps, kinds_of(trials, failures))  # in the order of the tables' rows
     rows = pd.concat(tables, ignore_index=True)
     rows = rows.assign(condition=conditions_of(rows), **dict(zip(KINDS, found.reshape(-1, 3).T, strict=True)))
     columns = ["condition", "seed", "env_steps", *KINDS]

@@ -34,7 +34,7 @@ class Program(NamedTuple):
         steps_per_iteration: environment steps of each run.
         iterate: (state) -> (state, metrics); it takes the place of the state it is given.
         evaluate: (state) -> EvalResult; compiled when it is first called.
-        counts: (state) -> (K, 2, N), trials and failures since the beginning.
+        counts: (state) -> (K, 3, N), trials, failures and steps since the beginning.
         probabilities: (state) -> (K, N), what the samplers draw by.
     """
 

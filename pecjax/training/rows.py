@@ -62,9 +62,10 @@ def configuration_arrays(counts: np.ndarray, probabilities: np.ndarray) -> dict[
     """What is kept of all configurations at an iteration, (N,) each.
 
     Args:
-        counts: (2, N), trials and failures since the beginning.
+        counts: (3, N), trials, failures and steps since the beginning.
     """
-    return {"trials": counts[0], "failures": counts[1], "probability": probabilities}
+    trials, failures, steps = counts
+    return {"trials": trials, "failures": failures, "steps": steps, "probability": probabilities}
 
 
 def episode_arrays(result: EvalResult) -> dict[str, Any]:

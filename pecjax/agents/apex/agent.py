@@ -14,13 +14,13 @@ from pecjax.agents.apex.replay import Packed, Replay, Rows
 from pecjax.agents.apex.settings import Apex
 from pecjax.agents.apex.update import Learner, count_on, double_value, make_optimizer, update
 from pecjax.agents.base import Agent, TrainState
-from pecjax.agents.episodes import Episodes
+from pecjax.agents.episodes import Episodes, add_counts, no_counts
 from pecjax.agents.metrics import Metrics, are_finite, summarize
 from pecjax.agents.observations import pack, unpack
 from pecjax.agents.returns import n_step_return, with_bootstrap
 from pecjax.agents.rollout import Policy, RolloutState, Seen, Trajectory, init_rollout, rollout
 from pecjax.agents.sharding import global_ids
-from pecjax.curriculum.base import Sampler, count_outcomes
+from pecjax.curriculum.base import Sampler
 from pecjax.curriculum.diagnostics import diagnose
 from pecjax.envs.spaces import Discrete
 from pecjax.envs.task import Task, World, num_configs
@@ -108,7 +108,7 @@ def make(task: Task, sampler: Sampler, settings: Apex, axis_name: str | None = N
         learner = Learner(params, target, optimizer.init(params), zero, zero, zero)
         nothing = jnp.zeros((num_envs, n_step))
         recent = Recent(nothing.astype(jnp.int32), nothing, nothing, nothing, nothing.astype(bool))
-        counts = jnp.zeros((2, num_configs(world.table)), jnp.int32)
+        counts = no_counts(num_configs(world.table))
         return TrainState(learner, sampler_state, counts, Actors(envs, recent, empty_shards()), key)
 
     def iterate(state: TrainState, world: World) -> tuple[TrainState, Metrics]:
@@ -172,8 +172,8 @@ def make(task: Task, sampler: Sampler, settings: Apex, axis_name: str | None = N
         # RLlib 0.8.5 reports the last third of its actors, rounded up (`agents/dqn/apex.py`).
         reported = env_ids % settings.num_actors >= settings.num_actors + (-settings.num_actors // 3)
         sampler_state = sampler.update(state.sampler, episodes.outcomes, axis_name)
-        counts = state.counts + count_outcomes(episodes.outcomes, state.counts.shape[1], axis_name)
-        spread = diagnose(sampler.probabilities(sampler_state), counts)
+        counts = add_counts(state.counts, episodes.outcomes, axis_name)
+        spread = diagnose(sampler.probabilities(sampler_state), counts[:2])
         parts = terms | {"parameters": learner.params, "observations": actors.envs.obs}
         metrics = summarize(episodes, are_finite(parts, axis_name), losses, spread, axis_name, reported)
         return TrainState(learner, sampler_state, counts, actors, key), metrics

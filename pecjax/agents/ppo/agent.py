@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from pecjax.agents.base import Agent, TrainState
 from pecjax.agents.distributions import make_distribution
-from pecjax.agents.episodes import sum_over_episodes
+from pecjax.agents.episodes import add_counts, no_counts, sum_over_episodes
 from pecjax.agents.metrics import Metrics, are_finite, summarize
 from pecjax.agents.networks import ActorCritic, decide, forward
 from pecjax.agents.observations import encode, flatten, image_shapes, in_order
@@ -19,7 +19,7 @@ from pecjax.agents.ppo.signals import step_signal
 from pecjax.agents.ppo.update import Flown, Learner, make_optimizer, prepare, update
 from pecjax.agents.rollout import Policy, Seen, init_rollout, rollout, see
 from pecjax.agents.sharding import global_ids
-from pecjax.curriculum.base import Sampler, count_outcomes
+from pecjax.curriculum.base import Sampler
 from pecjax.curriculum.diagnostics import diagnose
 from pecjax.envs.task import Task, World, num_configs
 from pecjax.errors import InputError
@@ -77,7 +77,7 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
         params = network.init(key_params, features, known, memory=memory)
         kl_coeff = jnp.asarray(settings.kl_coeff or 0.0, jnp.float32)
         learner = Learner(params, optimizer.init(params), kl_coeff)
-        counts = jnp.zeros((2, num_configs(world.table)), jnp.int32)
+        counts = no_counts(num_configs(world.table))
         return TrainState(learner, sampler_state, counts, envs, key)
 
     def iterate(state: TrainState, world: World) -> tuple[TrainState, Metrics]:
@@ -118,8 +118,8 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
         envs = envs._replace(running=envs.running._replace(score=left))
         outcomes = episodes.outcomes._replace(signal=sums / episodes.outcomes.length)
         sampler_state = sampler.update(state.sampler, outcomes, axis_name)
-        counts = state.counts + count_outcomes(episodes.outcomes, state.counts.shape[1], axis_name)
-        spread = diagnose(sampler.probabilities(sampler_state), counts)
+        counts = add_counts(state.counts, episodes.outcomes, axis_name)
+        spread = diagnose(sampler.probabilities(sampler_state), counts[:2])
         finite = are_finite(losses | {"parameters": learner.params, "observations": envs.obs}, axis_name)
         metrics = summarize(episodes, finite, losses, spread, axis_name)
         return TrainState(learner, sampler_state, counts, envs, key), metrics
