@@ -5,8 +5,8 @@ r"""How far the failures that a run's sampler counted are from those of its poli
     python benchmarks/failure_counts.py runs/pairs
 
 At each checkpoint the policy flies every configuration that it is trained in, by its most likely actions and
-by drawn ones, as in training. Beside these are the failure ratios that were counted: since the beginning, as PEC
-counts them, and since the checkpoint before.
+by drawn ones, as in training. Beside these are the failure ratios that were counted: since the beginning, as
+PEC counts them, and since the checkpoint before.
 """
 
 from __future__ import annotations
