@@ -186,6 +186,17 @@ def test_where_steps_went_is_counted_until_uniform_sampling_is_half_way(folder):
     assert rows["uniform"].endswith("| 1.00 | +0% |  |") and "## rooms-storm: where" not in text
 
 
+def test_what_chance_would_give_is_that_of_plain_loops(folder):
+    lines = write_benchmark_report(folder).partition("## By chance")[2].partition("##")[0].splitlines()
+    (line,) = [line for line in lines if line.startswith("| rooms-pairs")]
+    middle = CELLS["rooms-pairs"].thresholds[1]
+    logs = [[np.log(np.interp(middle, curve(s, k), STEPS)) for k in SEEDS] for s in ("uniform", "pec", "dro")]
+    within = np.sqrt(np.mean([np.std(of, ddof=1) ** 2 for of in logs]))
+    found = np.std([np.mean(of) for of in logs], ddof=1)
+    assert within > 0.05
+    assert line == f"| rooms-pairs | {within:.2f} | {within / np.sqrt(6):.2f} | {found:.2f} |"
+
+
 def test_a_run_that_is_missing_never_reached_anything():
     table = results()
     table["condition"] = table.sampler

@@ -80,7 +80,13 @@ SCREENING: tuple[Values, ...] = (
     *_conditions("mixture", share=(0.25,)),
     *_conditions("per_step"),
 )
-CONFIRMATION: tuple[Values, ...] = (*_conditions("uniform"), *_conditions("pec"))
+CONFIRMATION: tuple[Values, ...] = (  # as the rule of docs/benchmark.md chose
+    *_conditions("uniform"),
+    *_conditions("pec"),
+    *_conditions("forgetting"),
+    _conditions("dro", half_life=(3.0,))[1],
+    _conditions("floor", epsilon=(0.3,))[1],
+)
 
 
 def _study(name: str, cell: Cell, scale: str) -> StudySettings:

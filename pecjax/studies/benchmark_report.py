@@ -163,6 +163,23 @@ def spent(cell: Cell, runs: pd.DataFrame, compared: list[files.Row], shares: pd.
     return _markdown(lines)
 
 
+def chance(runs: Mapping[str, pd.DataFrame]) -> str:
+    """A table in Markdown: how far the conditions of each cell differ, and would if all of them were alike.
+
+    Standard deviations of the logarithm of steps to the middle threshold: of the runs of one condition, of
+    means over seeds if only chance told them apart, and of the means that were found.
+    """
+    lines = [["", "one run", "means, by chance", "means, found"], ["---"] * 4]
+    for name, table in runs.items():
+        logs = np.log(
+            table.pivot(index="condition", columns="seed", values=_steps(CELLS[name].thresholds[1]))
+        )
+        within = float(np.sqrt(logs.var(axis=1).mean()))
+        found = float(logs.mean(axis=1).std())
+        lines.append([name, *(f"{sd:.2f}" for sd in (within, within / np.sqrt(logs.shape[1]), found))])
+    return _markdown(lines)
+
+
 def _markdown(lines: list[list[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
@@ -191,6 +208,8 @@ def write_benchmark_report(folder: Path) -> str:
         of_cell = [row for row in compared if row["cell"] == name]
         parts.append(f"## {name}: where steps went\n\n{spent(CELLS[name], runs[name], of_cell, shares)}")
     if any(row["first"] for row in compared):
+        several = {name: table for name, table in runs.items() if seeds[name] > 1}
+        parts += [f"## By chance\n\n{chance(several)}"] if several else []
         parts.append(f"## All together\n\n{scores(compared)}")
     text = "\n".join(parts)
     every = pd.concat([rows.assign(cell=name) for name, rows in runs.items()], ignore_index=True)
