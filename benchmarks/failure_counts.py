@@ -16,55 +16,58 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from scipy.stats import spearmanr
 
+from pecjax.curriculum import Outcomes, count_outcomes, pec
 from pecjax.envs.task import EvalSet
 from pecjax.runtime.devices import use_all_cores
+from pecjax.training.checkpoint import Checkpoints
 from pecjax.training.load import Trained, open_run
 from pecjax.training.run_directory import RunDirectory
-from pecjax.training.run_episodes import success_by_config
 
 FLIGHTS = 20  # of each configuration
-ALPHA = 0.2  # of PEC
 
 
 def flown(trained: Trained, greedy: bool) -> np.ndarray:
-    """The failure ratio (N,) of each configuration that the run trains in."""
+    """Trials and failures (2, N) of flights in each configuration that the run trains in."""
     run, number = trained.run, trained.run.num_configs
     about = dataclasses.replace(trained.settings.evaluation, episodes=FLIGHTS * number, greedy=greedy)
     there = trained._replace(settings=dataclasses.replace(trained.settings, evaluation=about))
     result = there.elsewhere(run.world, EvalSet(run.world.table)).evaluator()()
-    return 1 - success_by_config(result.config_id, result.success, number)
+    return np.asarray(count_outcomes(Outcomes(result.config_id, True, ~result.success), number))
 
 
-def counted(new: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """The failure ratio (N,) of trials and failures (2, N) since those before, NaN where there is none."""
-    trials, failures = new - before
+def failure_ratios(counts: np.ndarray) -> np.ndarray:
+    """The failure ratio (N,) of trials and failures (2, N), NaN where there is no trial."""
+    trials, failures = counts
     return np.where(trials > 0, failures / np.maximum(trials, 1), np.nan)
 
 
-def draws(ratios: np.ndarray) -> np.ndarray:
-    """PEC's probabilities (N,) for these failure ratios."""
-    weights = np.where(np.isnan(ratios), 1.0, ratios + ALPHA)
-    return weights / weights.sum()
+def draws(counts: np.ndarray) -> np.ndarray:
+    """PEC's probabilities (N,) by these trials and failures (2, N)."""
+    sampler = pec(counts.shape[1])
+    return np.asarray(sampler.probabilities(sampler.init()._replace(statistics=jnp.asarray(counts))))
 
 
-def compare(ratios: dict[str, np.ndarray]) -> list[dict[str, Any]]:
-    """Each kind of ratios beside the last.
+def compare(counts: dict[str, np.ndarray]) -> list[dict[str, Any]]:
+    """Each kind of counts (2, N) beside the last.
 
     Draws that differ are half of the sum of the differences of PEC's probabilities (total variation).
     """
-    truth = [*ratios.values()][-1]
+    truth = [*counts.values()][-1]
     return [
         {
             "failures": name,
-            "mean": np.nanmean(of),
-            "rank correlation": spearmanr(of, truth, nan_policy="omit").statistic,
+            "mean": np.nanmean(failure_ratios(of)),
+            "rank correlation": spearmanr(
+                failure_ratios(of), failure_ratios(truth), nan_policy="omit"
+            ).statistic,
             "draws that differ": np.abs(draws(of) - draws(truth)).sum() / 2,
         }
-        for name, of in ratios.items()
+        for name, of in counts.items()
     ]
 
 
@@ -74,17 +77,17 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("run", type=Path)
     folder = parser.parse_args(words).run
     directory, rows = RunDirectory(folder), []
-    before = 0
-    for iteration in sorted(int(path.stem) for path in (folder / "checkpoints").glob("*.npz")):
+    before: Any = 0
+    for iteration in Checkpoints(folder).iterations():
         arrays, trained = directory.arrays("configurations", iteration), open_run(folder, iteration)
         counts = np.stack([arrays["trials"], arrays["failures"]])
-        ratios = {
-            "counted since the beginning": counted(counts, np.zeros_like(counts)),
-            "counted since the row above": counted(counts, np.zeros_like(counts) + before),
+        kinds = {
+            "counted since the beginning": counts,
+            "counted since the row above": counts - before,
             "drawn actions": flown(trained, greedy=False),
             "most likely actions": flown(trained, greedy=True),
         }
-        rows += [{"iteration": iteration} | row for row in compare(ratios)]
+        rows += [{"iteration": iteration} | row for row in compare(kinds)]
         before = counts
     print(pd.DataFrame(rows).to_string(index=False, float_format="{:.3f}".format))
 

@@ -15,20 +15,20 @@ failure_counts = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(failure_counts)
 
 
-def test_ratios_are_of_the_trials_since_those_before():
-    new, before = np.array([[4, 2, 3], [1, 2, 0]]), np.array([[2, 2, 0], [1, 0, 0]])
-    np.testing.assert_array_equal(failure_counts.counted(new, before), [0, np.nan, 0])
-    np.testing.assert_array_equal(failure_counts.counted(new, 0 * before), [0.25, 1, 0])
+def test_ratios_are_of_what_was_tried():
+    counts = np.array([[4, 0, 3, 2], [1, 0, 0, 2]])
+    np.testing.assert_array_equal(failure_counts.failure_ratios(counts), [0.25, np.nan, 0, 1])
 
 
 def test_draws_and_ranks_are_those_by_hand():
-    counted, truth = np.array([0.1, 0.9, np.nan, 0.4]), np.array([0.0, 0.5, 1.0, 0.7])
+    counted, truth = np.array([[10, 10, 0, 5], [1, 9, 0, 2]]), np.array([[10, 10, 10, 10], [0, 5, 10, 7]])
     row, same = failure_counts.compare({"counted": counted, "truth": truth})
     weights = np.array([[0.3, 1.1, 1.0, 0.6], [0.2, 0.7, 1.2, 0.9]])
     ours, theirs = weights / weights.sum(axis=1, keepdims=True)
     assert row["draws that differ"] == pytest.approx(np.maximum(ours - theirs, 0).sum())
+    ratios = (0.1, 0.9, None, 0.4), (0.0, 0.5, 1.0, 0.7)
     pairs = itertools.combinations([0, 1, 3], 2)
-    assert [(counted[a] < counted[b]) == (truth[a] < truth[b]) for a, b in pairs] == [True, True, False]
+    assert [(ratios[0][a] < ratios[0][b]) == (ratios[1][a] < ratios[1][b]) for a, b in pairs] == [1, 1, 0]
     assert row["mean"] == pytest.approx(1.4 / 3) and row["rank correlation"] == pytest.approx(0.5)
     assert same["draws that differ"] == 0 and same["rank correlation"] == pytest.approx(1)
 

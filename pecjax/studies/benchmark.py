@@ -84,8 +84,8 @@ CONFIRMATION: tuple[Values, ...] = (  # as the rule of docs/benchmark.md chose
     *_conditions("uniform"),
     *_conditions("pec"),
     *_conditions("forgetting"),
-    _conditions("dro", half_life=(3.0,))[1],
-    _conditions("floor", epsilon=(0.3,))[1],
+    (("sampler", "dro"), ("sampler.half_life", 3.0)),
+    (("sampler", "floor"), ("sampler.epsilon", 0.3)),
 )
 
 
