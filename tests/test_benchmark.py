@@ -14,7 +14,8 @@ from pecjax.envs.task import num_configs
 from pecjax.plotting import benchmark as figures
 from pecjax.studies import benchmark
 from pecjax.studies.benchmark import CELLS, CONFIRMATION, SCREENING, STUDIES
-from pecjax.studies.benchmark_report import by_run, compare, read_cells, scores, write_benchmark_report
+from pecjax.studies.benchmark_measures import by_run, compare, read_cells
+from pecjax.studies.benchmark_report import in_short, scores, write_benchmark_report
 from pecjax.studies.run import run_study
 from pecjax.training.kinds import make_kind
 
@@ -126,6 +127,9 @@ def test_comparisons_are_of_pairs_and_the_first_ones_are_corrected_together(fold
     assert logs[0] != logs[1]
     columns = " | ".join(f"{score:+.0%}" for score in expected)
     assert scores(rows).splitlines()[2] == f"| pec, α = 0.2 | {columns} |"
+    firsts, at_the_end = in_short(rows).split("\n\n")
+    assert f"{found.value:+.0%} [{found.low:+.0%}, {found.high:+.0%}]" in firsts.splitlines()[2]
+    assert f"{ends.value:+.2f} [{ends.low:+.2f}, {ends.high:+.2f}]" in at_the_end.splitlines()[2]
 
 
 def test_the_figures_show_the_table_and_the_curves(folder):

@@ -23,7 +23,7 @@ from pecjax.plotting.style import (
 )
 from pecjax.storage.tables import read_table
 from pecjax.studies.benchmark import CELLS
-from pecjax.studies.benchmark_report import read_cells
+from pecjax.studies.benchmark_measures import read_cells
 from pecjax.studies.report import BASELINE
 from pecjax.studies.shares import mean_shares, read_shares
 
@@ -95,7 +95,7 @@ def steps(compared: pd.DataFrame) -> Figure:
     """Steps to each cell's middle threshold over those of uniform sampling, with 95 % intervals.
 
     Args:
-        compared: the rows of `benchmark_report.compare`.
+        compared: the rows of `benchmark_measures.compare`.
     """
     first = compared[compared["first"]]
     names, cells = list(dict.fromkeys(first.condition)), list(dict.fromkeys(first.cell))

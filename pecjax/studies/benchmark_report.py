@@ -2,98 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from pecjax.errors import InputError
 from pecjax.storage import files
-from pecjax.storage.tables import read_table
 from pecjax.studies.benchmark import CELLS, Cell
-from pecjax.studies.comparison import difference, holm, relative, steps_to
+from pecjax.studies.benchmark_measures import (
+    STEPS,
+    by_run,
+    compare,
+    first_measure,
+    read_cells,
+    steps_measures,
+)
 from pecjax.studies.report import BASELINE
 from pecjax.studies.shares import KINDS, mean_shares, read_shares
-from pecjax.studies.statistics import area_under_curve
-from pecjax.studies.tables import conditions_of
-
-_STEPS = "steps_to_"
-_ENDS = ("goal_ratio", "spl", "unbiased_cvar")  # of the last evaluation
-_COLUMNS = {"seed", "iteration", "env_steps", "goal_ratio"}
-
-
-def read_cells(folder: Path) -> dict[str, pd.DataFrame]:
-    """The results of each cell that the folder has, `CELL/results.csv`, with a column `condition`.
-
-    Raises:
-        InputError: there is none, or one that is not such a table.
-    """
-    paths = {name: folder / name / "results.csv" for name in CELLS}
-    found = {name: read_table(path, _COLUMNS) for name, path in paths.items() if path.is_file()}
-    if not found:
-        raise InputError(f"{folder}: no CELL/results.csv of {', '.join(CELLS)}; give the benchmark's folder")
-    for table in found.values():
-        table["condition"] = conditions_of(table)
-    return found
-
-
-def by_run(results: pd.DataFrame, cell: Cell) -> pd.DataFrame:
-    """One row a run: its budget, steps to each threshold, the area under the curve, and how it ended.
-
-    A run that others of its seed have and that is missing, since it diverged, has no curve: it never reached
-    a threshold.
-    """
-    budget = float(results.env_steps.max())
-    rows = []
-    for _, run in results.groupby(["condition", "seed"], sort=False):
-        steps, ratios = run.env_steps.to_numpy(), run[cell.measured].to_numpy()
-        row = run[["condition", "seed"]].iloc[0].to_dict() | {"budget": budget}
-        row |= {_steps(at): steps_to(steps, ratios, at, budget) for at in cell.thresholds}
-        row |= {"area": area_under_curve(steps, ratios)}
-        ends = [name for name in run.columns if name in _ENDS or name.startswith("goal_ratio.")]
-        rows.append(row | {name: run[name].iloc[-1] for name in ends})
-    there = pd.DataFrame(rows)
-    every = pd.MultiIndex.from_product([there.condition.unique(), sorted(there.seed.unique())])
-    whole = there.set_index(["condition", "seed"]).reindex(every.set_names(["condition", "seed"]))
-    never = {"budget": budget} | {_steps(at): budget for at in cell.thresholds}
-    return whole.fillna(never).reset_index()
-
-
-def compare(runs: Mapping[str, pd.DataFrame]) -> list[files.Row]:
-    """One row a cell, condition and measure, beside uniform sampling of the same seeds.
-
-    Steps are compared as ratios (`comparison.relative`), all else by the mean difference. `p_holm` corrects
-    the p values of all first measures, the steps to the cells' middle thresholds, together.
-    """
-    rows = [row for name, table in runs.items() for row in _of_cell(name, CELLS[name], table)]
-    first = [row for row in rows if row["first"]]
-    corrected_p = holm(np.array([row["p"] for row in first]))
-    for row, corrected in zip(first, corrected_p, strict=True):
-        row["p_holm"] = float(corrected)
-    return rows
-
-
-def _of_cell(name: str, cell: Cell, runs: pd.DataFrame) -> Iterator[files.Row]:
-    groups = runs.groupby("condition", sort=False)
-    by_condition = {
-        str(condition): rows.drop(columns="condition").set_index("seed") for condition, rows in groups
-    }
-    if BASELINE not in by_condition:
-        raise InputError(f"{name}: there are no runs of {BASELINE}, which all others are compared with")
-    theirs = by_condition[BASELINE]
-    for condition, ours in by_condition.items():
-        for measure in ours.columns.drop("budget"):
-            both = ours[measure].notna() & theirs[measure].notna()
-            values, others = ours[measure][both].to_numpy(), theirs[measure][both].to_numpy()
-            if not len(values):
-                continue
-            compared = relative if measure.startswith(_STEPS) else difference
-            head = {"cell": name, "condition": condition, "measure": measure}
-            head |= {"first": condition != BASELINE and measure == _steps(cell.thresholds[1])}
-            yield (
-                head | {"mean": float(values.mean())} | compared(values, others)._asdict() | {"p_holm": None}
-            )
 
 
 def table(name: str, runs: pd.DataFrame, compared: list[files.Row]) -> str:
@@ -101,7 +27,7 @@ def table(name: str, runs: pd.DataFrame, compared: list[files.Row]) -> str:
     cell = CELLS[name]
     measures = ["goal_ratio", *([] if cell.measured == "goal_ratio" else [cell.measured]), "area"]
     names = {"goal_ratio": "goal ratio at the end", "area": "area under the curve"}
-    steps = [_steps(at) for at in cell.thresholds]
+    steps = steps_measures(cell)
     heads = ["", *(names.get(m, f"{m.removeprefix('goal_ratio.')} at the end") for m in measures)]
     heads += [f"million steps to {at:g}" for at in cell.thresholds]
     heads += [f"steps to {cell.thresholds[1]:g}, over uniform", "p", "p (Holm)"]
@@ -121,13 +47,34 @@ def table(name: str, runs: pd.DataFrame, compared: list[files.Row]) -> str:
     return _markdown(lines)
 
 
+def in_short(compared: list[files.Row]) -> str:
+    """Two tables in Markdown, a row a condition and a column a cell, with 95 % intervals.
+
+    First the steps to the middle thresholds over those of uniform sampling, then what the cells measure at
+    the end less that of uniform sampling.
+    """
+    rows = pd.DataFrame([row for row in compared if row["condition"] != BASELINE])
+    ends = rows.loc[rows.measure == rows.cell.map(lambda name: CELLS[name].measured)]
+    steps = _by_cell("steps, over uniform", rows.loc[rows["first"]], "{:+.0%}")
+    return f"{steps}\n{_by_cell('at the end, less uniform', ends, '{:+.2f}')}"
+
+
+def _by_cell(head: str, rows: pd.DataFrame, figure: str) -> str:
+    text = f"{figure} [{figure}, {figure}]"
+    texts = [text.format(*of) for of in zip(rows.value, rows.low, rows.high, strict=True)]
+    table = rows.assign(text=texts).pivot_table("text", "condition", "cell", aggfunc="first", sort=False)
+    lines = [[head, *(str(name) for name in table.columns)], ["---"] * (1 + len(table.columns))]
+    lines += [[str(name), *of] for name, of in table.fillna("").iterrows()]
+    return _markdown(lines)
+
+
 def scores(compared: list[files.Row]) -> str:
     """A table in Markdown: steps to the thresholds over uniform ones, by cell, and their mean.
 
     Means, over a cell's thresholds and over cells, are geometric, the least come first, and conditions that a
     cell lacks are left out.
     """
-    steps = pd.DataFrame([row for row in compared if row["measure"].startswith(_STEPS)])
+    steps = pd.DataFrame([row for row in compared if row["measure"].startswith(STEPS)])
     steps = steps[steps.condition != BASELINE].assign(log=np.log1p(steps.value))
     logs = steps.pivot_table("log", "condition", "cell", sort=False).dropna()
     ordered = np.expm1(logs.assign(mean=logs.mean(axis=1)).sort_values("mean", kind="stable"))
@@ -147,7 +94,7 @@ def spent(cell: Cell, runs: pd.DataFrame, compared: list[files.Row], shares: pd.
         compared: of `compare`, the rows of the cell.
         shares: rows of `shares.csv`.
     """
-    middle = _steps(cell.thresholds[1])
+    middle = first_measure(cell)
     until = runs[runs.condition == BASELINE][middle].median()
     along = mean_shares(shares.loc[shares.env_steps <= max(until, shares.env_steps.min())])
     groups = along.groupby("condition", sort=False)
@@ -171,9 +118,7 @@ def chance(runs: Mapping[str, pd.DataFrame]) -> str:
     """
     lines = [["", "one run", "means, by chance", "means, found"], ["---"] * 4]
     for name, table in runs.items():
-        logs = np.log(
-            table.pivot(index="condition", columns="seed", values=_steps(CELLS[name].thresholds[1]))
-        )
+        logs = np.log(table.pivot(index="condition", columns="seed", values=first_measure(CELLS[name])))
         within = float(np.sqrt(logs.var(axis=1).mean()))
         found = float(logs.mean(axis=1).std())
         lines.append([name, *(f"{sd:.2f}" for sd in (within, within / np.sqrt(logs.shape[1]), found))])
@@ -208,6 +153,7 @@ def write_benchmark_report(folder: Path) -> str:
         of_cell = [row for row in compared if row["cell"] == name]
         parts.append(f"## {name}: where steps went\n\n{spent(CELLS[name], runs[name], of_cell, shares)}")
     if any(row["first"] for row in compared):
+        parts.append(f"## In short\n\n{in_short(compared)}")
         several = {name: table for name, table in runs.items() if seeds[name] > 1}
         parts += [f"## By chance\n\n{chance(several)}"] if several else []
         parts.append(f"## All together\n\n{scores(compared)}")
@@ -219,7 +165,3 @@ def write_benchmark_report(folder: Path) -> str:
         files.replace_file(folder / "comparisons.csv", files.csv_text(compared))
         files.replace_file(folder / "report.md", text)
     return text
-
-
-def _steps(threshold: float) -> str:
-    return f"{_STEPS}{threshold:g}"
