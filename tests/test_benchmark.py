@@ -236,10 +236,14 @@ def test_its_report_is_rebuilt_byte_for_byte(folder, capsys):
 
 @pytest.mark.parametrize("stored", STORED, ids=lambda folder: folder.name)
 def test_the_stored_report_is_that_of_the_stored_results(stored, tmp_path):
+    """Its figures, too."""
     for results in stored.glob("*/results.csv"):
         shutil.copytree(results.parent, tmp_path / results.parent.name)
     write_benchmark_report(tmp_path)
-    for name in ("runs.csv", "comparisons.csv", "report.md"):
+    figures.draw_benchmark(tmp_path)
+    drawn = sorted(path.relative_to(tmp_path) for path in (tmp_path / "figures").glob("*.png"))
+    assert drawn == sorted(path.relative_to(stored) for path in (stored / "figures").glob("*.png"))
+    for name in ("runs.csv", "comparisons.csv", "report.md", *drawn):
         assert (tmp_path / name).read_bytes() == (stored / name).read_bytes()
 
 
