@@ -176,7 +176,8 @@ def test_where_steps_went_is_counted_until_uniform_sampling_is_half_way(folder):
     )
     per_run.to_csv(folder / "rooms-pairs" / "shares.csv", index=False)
     text = write_benchmark_report(folder)
-    part = text.partition("## rooms-pairs: where steps went")[2].partition("##")[0]
+    pairs, _, storm = text.partition("## rooms-storm: 6 seeds")
+    part = pairs.partition("Where steps went")[2]
     rows = {line.split(" | ")[0].strip("| "): line for line in part.splitlines() if line.startswith("| ")}
     middle = CELLS["rooms-pairs"].thresholds[1]
     until = np.median([np.interp(middle, curve("uniform", seed), STEPS) for seed in SEEDS])
@@ -187,7 +188,7 @@ def test_where_steps_went_is_counted_until_uniform_sampling_is_half_way(folder):
     compared = pd.read_csv(folder / "comparisons.csv").query("first and cell == 'rooms-pairs'")
     found = compared.set_index("condition").value["pec, α = 0.2"]
     assert rows["pec, α = 0.2"] == f"| pec, α = 0.2 | {figures}{found:+.0%} |"
-    assert rows["uniform"].endswith("| 1.00 | +0% |  |") and "## rooms-storm: where" not in text
+    assert rows["uniform"].endswith("| 1.00 | +0% |  |") and "Where steps went" not in storm
 
 
 def test_what_chance_would_give_is_that_of_plain_loops(folder):

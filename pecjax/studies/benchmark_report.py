@@ -21,6 +21,8 @@ from pecjax.studies.benchmark_measures import (
 from pecjax.studies.report import BASELINE
 from pecjax.studies.shares import KINDS, mean_shares, read_shares
 
+_SPENT = "Where steps went until half of the uniform runs had the middle threshold:"
+
 
 def table(name: str, runs: pd.DataFrame, compared: list[files.Row]) -> str:
     """A cell's table in Markdown: how each condition ended, and its steps beside those of uniform ones."""
@@ -145,13 +147,14 @@ def write_benchmark_report(folder: Path) -> str:
     runs = {name: by_run(results, CELLS[name]) for name, results in read_cells(folder).items()}
     compared = compare(runs)
     seeds = {name: table.seed.nunique() for name, table in runs.items()}
-    parts = [
-        f"## {name}: {seeds[name]} seed{'s' * (seeds[name] > 1)}\n\n{table(name, rows, compared)}"
-        for name, rows in runs.items()
-    ]
-    for name, shares in read_shares(folder, runs).items():
-        of_cell = [row for row in compared if row["cell"] == name]
-        parts.append(f"## {name}: where steps went\n\n{spent(CELLS[name], runs[name], of_cell, shares)}")
+    shares = read_shares(folder, runs)
+    parts = []
+    for name, rows in runs.items():
+        text = f"## {name}: {seeds[name]} seed{'s' * (seeds[name] > 1)}\n\n{table(name, rows, compared)}"
+        if name in shares:
+            of_cell = [row for row in compared if row["cell"] == name]
+            text += f"\n{_SPENT}\n\n{spent(CELLS[name], rows, of_cell, shares[name])}"
+        parts.append(text)
     if any(row["first"] for row in compared):
         parts.append(f"## In short\n\n{in_short(compared)}")
         several = {name: table for name, table in runs.items() if seeds[name] > 1}
