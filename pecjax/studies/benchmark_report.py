@@ -21,7 +21,7 @@ from pecjax.studies.benchmark_measures import (
 from pecjax.studies.report import BASELINE
 from pecjax.studies.shares import KINDS, mean_shares, read_shares
 
-_SPENT = "Where steps went until half of the uniform runs had the middle threshold:"
+_SPENT = "Where steps went until half of the uniform runs had the middle threshold, or to the end:"
 
 
 def table(name: str, runs: pd.DataFrame, compared: list[files.Row]) -> str:
