@@ -2,7 +2,7 @@
 
     python docs/results_pictures.py              # into docs/images/results
 
-The others are of curves, which only the folder of a study has: `pecjax figures STUDY` draws them.
+The others are in the folders of their studies: `pecjax figures STUDY` draws them.
 """
 
 from __future__ import annotations
@@ -19,8 +19,6 @@ from pecjax.plotting.style import STYLE, set_title
 
 HERE = Path(__file__).parent
 TITLES = {
-    "fig4": "PPO on set 1",
-    "fig8": "PPO on set 2",
     "fig11": "PPO on set 1",
     "fig14": "Ape-X DQN on set 1",
 }

@@ -231,7 +231,7 @@ def test_its_report_is_rebuilt_byte_for_byte(folder, capsys):
         file.unlink()
     assert cli.main(again) == 0
     assert [file.read_bytes() for file in files] == before
-    with pytest.raises(InputError, match=r"no CELL/results\.csv of paper-2"):
+    with pytest.raises(InputError, match=r"nor CELL/results\.csv of paper-2"):
         write_benchmark_report(folder / "rooms-pairs")
 
 

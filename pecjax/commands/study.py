@@ -41,7 +41,8 @@ class Study:
     Attributes:
         name: one of the paper's experiments: fig4 (PPO, set 1), fig8 (set 2), fig11 (α) or
             fig14 (Ape-X); samplers, the benchmark of docs/benchmark.md, or one space of it, as
-            samplers-rooms-pairs; or report, which writes that of a benchmark in the folder --out again.
+            samplers-rooms-pairs; or report, which makes the tables and figures of the study or the benchmark
+            in the folder --out again.
             (default: a grid of your own)
         scale: of a named study: smoke (seconds, to try it), laptop (our presets, for two cores) or
             paper (its iteration counts and RLlib's settings); of the benchmark smoke, laptop (three seeds),
@@ -87,11 +88,19 @@ class Study:
         of_all = benchmark.BENCHMARK if members or self.name == REPORT else self.name
         folder = self.out or Path("studies") / (f"{of_all}-{scale}" if of_all else OWN)
         if self.name == REPORT:
-            print(_benchmark_report(folder))
+            self._report_again(folder)
         elif members:
             self._run_benchmark(members, folder)
         else:
             self._run_study(folder)
+
+    def _report_again(self, folder: Path) -> None:
+        """Of a study from its batches, of the benchmark from the results of its cells."""
+        if not (folder / "study.json").is_file():
+            print(_benchmark_report(folder))
+            return
+        StudyDirectory(folder).merge_missing_tables()
+        self._report(folder, None)
 
     def _run_benchmark(self, members: Sequence[str], folder: Path) -> None:
         """The benchmark's studies, one after another, and their report."""
@@ -125,7 +134,7 @@ class Study:
         report = importlib.import_module("pecjax.studies.report")
         print(report.write_report(folder))
         draw(folder)
-        print(f"{folder}: results.csv, runs.csv, summary.csv, paired.csv and figures/")
+        print(f"{folder}: results.csv, runs.csv, summary.csv, paired.csv, report.md and figures/")
         if notice:
             print(f"pecjax: {notice}", file=sys.stderr)
 

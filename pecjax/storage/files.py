@@ -7,7 +7,7 @@ import csv
 import io
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -32,6 +32,12 @@ def csv_text(rows: Iterable[Row], header: bool = True) -> str:
             writer.writeheader()
         writer.writerow({key: _plain(value) for key, value in row.items()})
     return text.getvalue()
+
+
+def markdown_text(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown, its first row the head."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def joined_tables(texts: Iterable[str]) -> str:

@@ -41,7 +41,8 @@ def read_cells(folder: Path) -> dict[str, pd.DataFrame]:
     paths = {name: folder / name / "results.csv" for name in CELLS}
     found = {name: read_table(path, _COLUMNS) for name, path in paths.items() if path.is_file()}
     if not found:
-        raise InputError(f"{folder}: no CELL/results.csv of {', '.join(CELLS)}; give the benchmark's folder")
+        missing = f"neither study.json nor CELL/results.csv of {', '.join(CELLS)}"
+        raise InputError(f"{folder}: {missing}; give the folder of a study or of the benchmark")
     for table in found.values():
         table["condition"] = conditions_of(table)
     return found

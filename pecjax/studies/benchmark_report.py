@@ -35,7 +35,7 @@ def table(name: str, runs: pd.DataFrame, compared: list[files.Row]) -> str:
     heads += [f"steps to {cell.thresholds[1]:g}, over uniform", "p", "p (Holm)"]
     found = {(row["condition"], row["measure"]): row for row in compared if row["cell"] == name}
     budget = float(runs.budget.iloc[0])
-    lines = [heads, ["---"] * len(heads)]
+    lines = []
     for condition, rows in runs.groupby("condition", sort=False):
         first = found[condition, steps[1]]
         line = [str(condition), *(f"{rows[m].mean():.3f}" for m in measures)]
@@ -46,7 +46,7 @@ def table(name: str, runs: pd.DataFrame, compared: list[files.Row]) -> str:
             over = f"{first['value']:+.0%} [{first['low']:+.0%}, {first['high']:+.0%}]"
             line += [over, f"{first['p']:.2g}", f"{first['p_holm']:.2g}"]
         lines.append(line)
-    return _markdown(lines)
+    return files.markdown_text(heads, lines)
 
 
 def in_short(compared: list[files.Row]) -> str:
@@ -65,9 +65,8 @@ def _by_cell(head: str, rows: pd.DataFrame, figure: str) -> str:
     text = f"{figure} [{figure}, {figure}]"
     texts = [text.format(*of) for of in zip(rows.value, rows.low, rows.high, strict=True)]
     table = rows.assign(text=texts).pivot_table("text", "condition", "cell", aggfunc="first", sort=False)
-    lines = [[head, *(str(name) for name in table.columns)], ["---"] * (1 + len(table.columns))]
-    lines += [[str(name), *of] for name, of in table.fillna("").iterrows()]
-    return _markdown(lines)
+    lines = [[str(name), *of] for name, of in table.fillna("").iterrows()]
+    return files.markdown_text([head, *(str(name) for name in table.columns)], lines)
 
 
 def scores(compared: list[files.Row]) -> str:
@@ -80,9 +79,8 @@ def scores(compared: list[files.Row]) -> str:
     steps = steps[steps.condition != BASELINE].assign(log=np.log1p(steps.value))
     logs = steps.pivot_table("log", "condition", "cell", sort=False).dropna()
     ordered = np.expm1(logs.assign(mean=logs.mean(axis=1)).sort_values("mean", kind="stable"))
-    lines = [["", *(str(name) for name in ordered.columns)], ["---"] * (1 + len(ordered.columns))]
-    lines += [[str(name), *(f"{value:+.0%}" for value in row)] for name, row in ordered.iterrows()]
-    return _markdown(lines)
+    lines = [[str(name), *(f"{value:+.0%}" for value in row)] for name, row in ordered.iterrows()]
+    return files.markdown_text(["", *(str(name) for name in ordered.columns)], lines)
 
 
 def spent(cell: Cell, runs: pd.DataFrame, compared: list[files.Row], shares: pd.DataFrame) -> str:
@@ -104,12 +102,12 @@ def spent(cell: Cell, runs: pd.DataFrame, compared: list[files.Row], shares: pd.
     learnable = KINDS.index("learnable")
     found = {row["condition"]: row["value"] for row in compared if row["first"] and row["measure"] == middle}
     heads = ["", *(kind.replace("_", " ") for kind in KINDS), "κ", "1/κ - 1", "steps, over uniform"]
-    lines = [heads, ["---"] * len(heads)]
+    lines = []
     for condition, of in means.items():
         kappa = of[learnable] / means[BASELINE][learnable]
         line = [condition, *(f"{share:.2f}" for share in of), f"{kappa:.2f}", f"{1 / kappa - 1:+.0%}"]
         lines.append([*line, f"{found[condition]:+.0%}" if condition in found else ""])
-    return _markdown(lines)
+    return files.markdown_text(heads, lines)
 
 
 def chance(runs: Mapping[str, pd.DataFrame]) -> str:
@@ -118,17 +116,13 @@ def chance(runs: Mapping[str, pd.DataFrame]) -> str:
     Standard deviations of the logarithm of steps to the middle threshold: of the runs of one condition, of
     means over seeds if only chance told them apart, and of the means that were found.
     """
-    lines = [["", "one run", "means, by chance", "means, found"], ["---"] * 4]
+    lines = []
     for name, table in runs.items():
         logs = np.log(table.pivot(index="condition", columns="seed", values=first_measure(CELLS[name])))
         within = float(np.sqrt(logs.var(axis=1).mean()))
         found = float(logs.mean(axis=1).std())
         lines.append([name, *(f"{sd:.2f}" for sd in (within, within / np.sqrt(logs.shape[1]), found))])
-    return _markdown(lines)
-
-
-def _markdown(lines: list[list[str]]) -> str:
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+    return files.markdown_text(["", "one run", "means, by chance", "means, found"], lines)
 
 
 def _reached(steps: np.ndarray, budget: float) -> str:

@@ -195,6 +195,18 @@ class StudyDirectory:
             texts = [(path / f"{name}.csv").read_text() for path in self._held(number)]
             files.replace_file(self.folder / f"{name}.csv", files.joined_tables(texts))
 
+    def merge_missing_tables(self) -> None:
+        """Writes the tables anew where the folder has its batches alone.
+
+        Raises:
+            InputError: the folder holds no study, or cannot be written.
+        """
+        number = len(self.settings().batches())
+        there = [(self.folder / f"{name}.csv").is_file() for name in self.TABLES]
+        if self._held(number) and not all(there):
+            with files.writing(self.folder, "the same command writes them once it can"):
+                self.merge_tables(number)
+
     def configurations(self, number: int) -> Iterator[tuple[Path, dict[str, np.ndarray]]]:
         """Of each of so many batches that is there, its folder and what `Collected.configurations` gave."""
         for path in self._held(number):

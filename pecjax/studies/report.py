@@ -10,6 +10,7 @@ import pandas as pd
 
 from pecjax.storage import files
 from pecjax.studies.grid import shown_space
+from pecjax.studies.report_tables import report_text
 from pecjax.studies.statistics import (
     Interval,
     area_under_curve,
@@ -144,7 +145,7 @@ def _columns(name: str, found: Interval) -> dict[str, float]:
 
 
 def write_report(folder: Path) -> str:
-    """Writes `runs.csv`, `summary.csv` and `paired.csv`; returns them in words.
+    """Writes `runs.csv`, `summary.csv`, `paired.csv` and `report.md`; returns them in words.
 
     Raises:
         InputError: the study has gathered no tables, or its folder cannot be written.
@@ -160,6 +161,7 @@ def write_report(folder: Path) -> str:
     with files.writing(folder, "the same command resumes once it can"):
         for name, rows in written.items():
             files.replace_file(folder / f"{name}.csv", files.csv_text(rows))
+        files.replace_file(folder / "report.md", report_text(summaries, differences))
     lines = [
         f"{shown_space(row['coordinates'])}, {row['condition']}, {row['seeds']} seeds: goal ratio "
         f"{row['goal_ratio']:.3f} [{row['goal_ratio_low']:.3f}, {row['goal_ratio_high']:.3f}], worst tenth "
