@@ -19,7 +19,6 @@ from pecjax.plotting.style import STYLE, set_title
 
 HERE = Path(__file__).parent
 TITLES = {
-    "fig11": "PPO on set 1",
     "fig14": "Ape-X DQN on set 1",
 }
 DPI = 200
