@@ -9,7 +9,7 @@ from synthetic import BATCH, study_settings, write_study
 
 from pecjax.plotting import seeds, study_curves, study_ends, style
 from pecjax.plotting.style import steps_axis
-from pecjax.studies import report as study_report, statistics
+from pecjax.studies import measures, statistics
 from pecjax.studies.tables import read_study
 
 INF = np.inf
@@ -154,7 +154,7 @@ def all_alike(request, tmp_path_factory):
 
 
 def test_axes_of_ratios_show_ratios(all_alike):
-    runs = study_report.by_run(all_alike)
+    runs = measures.by_run(all_alike)
     for axes in study_ends.alphas(runs).axes:
         low, high = axes.get_ylim()
         assert -0.05 <= low <= 0 and 0.1 <= high <= 1.05
@@ -164,7 +164,7 @@ def test_axes_of_ratios_show_ratios(all_alike):
 
 
 def test_legends_say_what_bands_and_bars_are(all_alike):
-    runs = study_report.by_run(all_alike)
+    runs = measures.by_run(all_alike)
     figures = [
         study_curves.goal_ratio(all_alike),
         study_curves.evaluation(all_alike.results),
@@ -248,7 +248,7 @@ def test_a_study_of_the_whole_family_is_legible(tmp_path):
     settings = study_settings((0.2,), (0, 1), samplers=FAMILY)
     write_study(tmp_path / "study", settings, lambda run, progress: progress)
     tables = read_study(tmp_path / "study")
-    runs = study_report.by_run(tables)
+    runs = measures.by_run(tables)
     assert [name.partition(",")[0] for name in dict.fromkeys(runs.condition)] == [*FAMILY]
     curves = study_curves.goal_ratio(tables)
     lines = [line for line in curves.axes[1].get_lines() if not line.get_label().startswith("_")]

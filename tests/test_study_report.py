@@ -13,7 +13,7 @@ from synthetic import study_settings, write_study
 import pecjax
 from pecjax.envs.task import EvalSet
 from pecjax.plotting import study as study_figures, study_curves
-from pecjax.studies import report as study_report
+from pecjax.studies import measures, report as study_report
 from pecjax.studies.collect import Collected
 from pecjax.studies.directory import StudyDirectory
 from pecjax.studies.grid import shown_space, space_name
@@ -42,7 +42,7 @@ def test_every_alpha_is_a_condition_of_its_own(near_alphas):
     assert tuple(dict.fromkeys(tables.results.alpha.dropna())) == ALPHAS  # to the last digit
     for table in tables:
         assert table.groupby("condition").ngroups == len(ALPHAS) + 1
-    runs = study_report.by_run(tables)
+    runs = measures.by_run(tables)
     assert len(runs) == 2 * (len(ALPHAS) + 1)
     assert set(runs.condition) >= {"pec, α = 0.2", "pec, α = 0.2000001", "pec, α = 3", "uniform"}
     study_report.write_report(near_alphas)
@@ -73,7 +73,7 @@ def test_coordinates_are_told_apart_by_their_text(tmp_path):
         write_study(tmp_path / "study", settings, lambda run, progress: progress)
     tables = read_study(tmp_path / "study")
     assert set(tables.results.coordinates) == {"1", "01"}
-    assert len(study_report.by_run(tables)) == 4
+    assert len(measures.by_run(tables)) == 4
 
 
 def test_what_was_written_with_seven_digits_goes_on_under_the_same_name(tmp_path):
@@ -87,7 +87,7 @@ def test_what_was_written_with_seven_digits_goes_on_under_the_same_name(tmp_path
         path.write_text(text.replace(",0.3333333333333333,4,", ",0.3333333,4,"))  # the first seed's run
     tables = read_study(folder)
     assert set(tables.results.condition) == {"pec, α = 0.3333333333333333", "pec, α = 1", "uniform"}
-    assert study_report.by_run(tables).groupby("condition").seed.nunique().eq(2).all()
+    assert measures.by_run(tables).groupby("condition").seed.nunique().eq(2).all()
 
 
 def test_two_runs_of_one_name_are_refused_in_one_line(near_alphas, tmp_path):

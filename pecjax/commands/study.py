@@ -88,19 +88,20 @@ class Study:
         of_all = benchmark.BENCHMARK if members or self.name == REPORT else self.name
         folder = self.out or Path("studies") / (f"{of_all}-{scale}" if of_all else OWN)
         if self.name == REPORT:
-            self._report_again(folder)
+            self._rebuild_report(folder)
         elif members:
             self._run_benchmark(members, folder)
         else:
             self._run_study(folder)
 
-    def _report_again(self, folder: Path) -> None:
-        """Of a study from its batches, of the benchmark from the results of its cells."""
-        if not (folder / "study.json").is_file():
+    def _rebuild_report(self, folder: Path) -> None:
+        """Makes tables and figures again, of a study from its batches, of the benchmark from results."""
+        if (folder / "study.json").is_file():
+            for line in StudyDirectory(folder).rebuild_tables():
+                print(line, file=sys.stderr)
+            self._report(folder, None)
+        else:
             print(_benchmark_report(folder))
-            return
-        StudyDirectory(folder).merge_missing_tables()
-        self._report(folder, None)
 
     def _run_benchmark(self, members: Sequence[str], folder: Path) -> None:
         """The benchmark's studies, one after another, and their report."""

@@ -24,7 +24,7 @@ from pecjax.plotting.style import (
 from pecjax.storage.tables import read_table
 from pecjax.studies.benchmark import CELLS
 from pecjax.studies.benchmark_measures import read_cells
-from pecjax.studies.report import BASELINE
+from pecjax.studies.measures import BASELINE
 from pecjax.studies.shares import mean_shares, read_shares
 
 IN_ROW = 3  # panels

@@ -16,7 +16,7 @@ from pecjax.plotting.study_ends import alphas, maps, steps_to_threshold
 from pecjax.plotting.style import save, set_title
 from pecjax.studies.directory import StudyDirectory
 from pecjax.studies.grid import shown_space, space_name
-from pecjax.studies.report import by_run, group_columns
+from pecjax.studies.measures import by_run, group_columns
 from pecjax.studies.tables import StudyTables, read_study, varied_columns
 from pecjax.training.kinds import AGENT_LABELS, kind_name
 

@@ -26,7 +26,7 @@ from pecjax.plotting.style import (
     styled,
     window,
 )
-from pecjax.studies.report import THRESHOLDS
+from pecjax.studies.measures import THRESHOLDS
 from pecjax.studies.statistics import effective_number, trial_and_failure_ratios
 from pecjax.studies.tables import StudyTables
 

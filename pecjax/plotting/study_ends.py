@@ -27,7 +27,7 @@ from pecjax.plotting.style import (
     styled,
 )
 from pecjax.plotting.success_map import success
-from pecjax.studies.report import THRESHOLDS
+from pecjax.studies.measures import THRESHOLDS
 from pecjax.studies.tables import StudyTables
 
 FEW = 4  # conditions whose names have a place below an axis, side by side

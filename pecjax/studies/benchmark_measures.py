@@ -13,7 +13,7 @@ from pecjax.storage import files
 from pecjax.storage.tables import read_table
 from pecjax.studies.benchmark import CELLS, Cell
 from pecjax.studies.comparison import difference, holm, relative, steps_to
-from pecjax.studies.report import BASELINE
+from pecjax.studies.measures import BASELINE
 from pecjax.studies.statistics import area_under_curve
 from pecjax.studies.tables import conditions_of
 

@@ -18,7 +18,7 @@ from pecjax.studies.benchmark_measures import (
     read_cells,
     steps_measures,
 )
-from pecjax.studies.report import BASELINE
+from pecjax.studies.measures import BASELINE
 from pecjax.studies.shares import KINDS, mean_shares, read_shares
 
 _SPENT = "Where steps went until half of the uniform runs had the middle threshold, or to the end:"

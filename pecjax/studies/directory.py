@@ -195,17 +195,23 @@ class StudyDirectory:
             texts = [(path / f"{name}.csv").read_text() for path in self._held(number)]
             files.replace_file(self.folder / f"{name}.csv", files.joined_tables(texts))
 
-    def merge_missing_tables(self) -> None:
-        """Writes the tables anew where the folder has its batches alone.
+    def rebuild_tables(self) -> list[str]:
+        """Writes the tables anew from the batches; says how many are there, and which runs diverged.
 
         Raises:
-            InputError: the folder holds no study, or cannot be written.
+            InputError: the folder holds no study or no batch, one of them is not as it was written, another
+                process writes into the folder, or it cannot be written.
         """
         number = len(self.settings().batches())
-        there = [(self.folder / f"{name}.csv").is_file() for name in self.TABLES]
-        if self._held(number) and not all(there):
-            with files.writing(self.folder, "the same command writes them once it can"):
-                self.merge_tables(number)
+        held = self._held(number)
+        damaged = [path for path in held if not _is_whole(path)]
+        if damaged:
+            raise InputError(f"{damaged[0]}: not as it was written; resume the study, which makes it again")
+        if not held:
+            raise InputError(f"{self._batches}: none is there; resume the study")
+        with files.alone(self.folder), files.writing(self.folder, "the same command writes them once it can"):
+            self.merge_tables(number)
+        return [f"{self.folder}: {len(held)} of {number} batches are there", *self.diverged(number)]
 
     def configurations(self, number: int) -> Iterator[tuple[Path, dict[str, np.ndarray]]]:
         """Of each of so many batches that is there, its folder and what `Collected.configurations` gave."""

@@ -1,151 +1,42 @@
-"""The report of a study: its measures by condition, and the paired differences between conditions."""
+"""The report of a study: its measures as tables, in words and in Markdown."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from pecjax.storage import files
 from pecjax.studies.grid import shown_space
-from pecjax.studies.report_tables import report_text
-from pecjax.studies.statistics import (
-    Interval,
-    area_under_curve,
-    interval,
-    paired_difference,
-    sign_flip_p,
-    steps_to_exit,
-    steps_to_threshold,
-    trial_and_failure_ratios,
+from pecjax.studies.measures import (
+    LAST_ITERATIONS,
+    RATIOS,
+    STEPS,
+    THRESHOLDS,
+    TRAINING,
+    by_run,
+    paired,
+    summary,
 )
-from pecjax.studies.tables import StudyTables, read_study, varied_columns
+from pecjax.studies.tables import read_study
 
-THRESHOLDS = (0.9, 0.95)
-BASELINE = "uniform"  # what others are paired with; the study's first condition where it is not there
-RATIOS = ("goal_ratio", "cvar", "area_under_curve", "cvar_area_under_curve")
-# Of what the sampler drew in training: beside the paper's figures, not to compare samplers by.
-TRAINING = ("training_goal_ratio", "failure_ratio", "least_trial_ratio", "greatest_trial_ratio")
-UNKNOWN = Interval(*[float("nan")] * 3)
-LAST_ITERATIONS = 100  # that the paper takes the mean training goal ratio of
-STEPS = tuple(f"{what}_{at:g}" for at in THRESHOLDS for what in ("steps_to", "exit_at"))
-
-
-def by_run(tables: StudyTables) -> pd.DataFrame:
-    """One row a run: how it ended, and how soon it came to the thresholds.
-
-    Columns: `goal_ratio` (of all configurations and of each group) and `cvar` of the last evaluation, the
-    `area_under_curve` of `goal_ratio` and of `cvar`,
-    `steps_to_0.9` (environment steps at the first of five evaluations in a row that hold it) and
-    `exit_at_0.9` (at the fifth iteration in a row whose training goal ratio holds it: the paper's
-    exit condition); inf where it was not reached. Of training: `training_goal_ratio`, the mean of the
-    last 100 iterations; `failure_ratio`, the mean over the configurations, `least_trial_ratio` and
-    `greatest_trial_ratio`, all since the run began.
-    """
-    keys = ["coordinates", "condition", "seed"]
-    last = tables.configurations.iteration.max()
-    counts = tables.configurations.loc[tables.configurations.iteration == last]
-    draws = trial_and_failure_ratios(counts, keys).groupby(keys, sort=False)
-    trainings = tables.metrics.groupby(keys, sort=False)
-    rows = []
-    for key, run in tables.results.groupby(keys, sort=False):
-        training, drawn = trainings.get_group(key), draws.get_group(key)
-        steps, ratios = run.env_steps.to_numpy(), run.goal_ratio.to_numpy()
-        row = run[[*keys, "sampler", "alpha", *varied_columns(run)]].iloc[0].to_dict() | {
-            "goal_ratio": ratios[-1],
-            **run[group_columns(run)].iloc[-1],
-            "cvar": run.cvar.iloc[-1],
-            "area_under_curve": area_under_curve(steps, ratios),
-            "cvar_area_under_curve": area_under_curve(steps, run.cvar.to_numpy()),
-        }
-        for at in THRESHOLDS:
-            row[f"steps_to_{at:g}"] = steps_to_threshold(steps, ratios, at)
-            row[f"exit_at_{at:g}"] = steps_to_exit(
-                training.env_steps.to_numpy(), training.goal_ratio.to_numpy(), at
-            )
-        row |= {
-            "training_goal_ratio": training.goal_ratio.tail(LAST_ITERATIONS).mean(),
-            "failure_ratio": drawn.failure.mean(),
-            "least_trial_ratio": drawn.trial.min(),
-            "greatest_trial_ratio": drawn.trial.max(),
-        }
-        rows.append(row)
-    return pd.DataFrame(rows)
-
-
-def group_columns(table: pd.DataFrame) -> list[str]:
-    """The columns of goal ratios of groups of configurations, of a study's results or of its runs."""
-    return [name for name in table.columns if name.startswith("goal_ratio.")]
-
-
-def summary(runs: pd.DataFrame) -> Iterator[files.Row]:
-    """One row a condition: interquartile means with intervals, medians and ranges of steps."""
-    keys = ["coordinates", "condition"]
-    for _, rows in runs.groupby(keys, sort=False):
-        row = rows[keys].iloc[0].to_dict() | {"seeds": len(rows)}
-        for name in (*RATIOS, *group_columns(rows)):
-            values = rows[name].to_numpy()
-            row |= _columns(name, UNKNOWN if np.isnan(values).any() else interval(values))
-        for name in STEPS:
-            row[f"{name}_reached"] = int(np.isfinite(rows[name]).sum())
-            spread = rows[name].agg(["median", "min", "max"])
-            row |= {f"{name}_{which}": figure for which, figure in spread.items()}
-        for name in TRAINING:
-            row |= _columns(name, interval(rows[name].to_numpy()))
-        yield row
-
-
-def paired(runs: pd.DataFrame) -> Iterator[files.Row]:
-    """One row a condition and measure: differences from the baseline, seed by seed.
-
-    Where settings of the learner vary too, the baseline has the same ones.
-    """
-    for coordinates, rows in _comparable(runs):
-        ratios = (*RATIOS, *group_columns(rows.dropna(axis=1, how="all")))
-        table = rows.pivot(index="seed", columns="condition", values=[*ratios, *STEPS])
-        there = list(dict.fromkeys(rows.condition))
-        baseline = next((c for c in there if c.partition(",")[0] == BASELINE), there[0])
-        for condition in there:
-            if condition == baseline:
-                continue
-            for name in (*ratios, *STEPS):
-                pairs = table[name][[condition, baseline]].dropna()
-                ours, theirs = pairs[condition].to_numpy(float), pairs[baseline].to_numpy(float)
-                better = ours > theirs if name in ratios else ours < theirs
-                equal = ours == theirs
-                both = np.isfinite(ours) & np.isfinite(theirs)
-                head = {"coordinates": coordinates, "condition": condition, "baseline": baseline}
-                counts = {
-                    "better": int(better.sum()),
-                    "equal": int(equal.sum()),
-                    "worse": int((~better & ~equal).sum()),
-                    "pairs": int(both.sum()),
-                }
-                found, p = UNKNOWN, float("nan")
-                if both.any():
-                    found = paired_difference(ours[both], theirs[both])
-                    p = sign_flip_p(ours[both] - theirs[both])
-                yield head | {"measure": name} | counts | _columns("difference", found) | {"p": p}
-
-
-def _comparable(runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
-    """The runs by coordinates, and by the learner's settings where more than one sampler has each."""
-    shared = [name for name in varied_columns(runs) if not name.startswith("sampler.")]
-    for coordinates, rows in runs.groupby("coordinates", sort=False):
-        blocks = [block for _, block in rows.groupby(shared, sort=False)] if shared else [rows]
-        alone = all(block.condition.nunique() == 1 for block in blocks)
-        for block in [rows] if alone else blocks:
-            yield str(coordinates), block
-
-
-def _columns(name: str, found: Interval) -> dict[str, float]:
-    return {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
+NAMES = {
+    "goal_ratio": "goal ratio at the end",
+    "cvar": "worst tenth at the end",
+    "area_under_curve": "goal ratio, area under the curve",
+    "cvar_area_under_curve": "worst tenth, area under the curve",
+    **{f"steps_to_{at:g}": f"million steps until {at:g} is held" for at in THRESHOLDS},
+    **{f"exit_at_{at:g}": f"million steps to the exit at {at:g}" for at in THRESHOLDS},
+    "training_goal_ratio": f"in training: goal ratio, last {LAST_ITERATIONS} iterations",
+    "failure_ratio": "in training: failure ratio",
+    "least_trial_ratio": "in training: least share of trials",
+    "greatest_trial_ratio": "in training: greatest share of trials",
+}
 
 
 def write_report(folder: Path) -> str:
-    """Writes `runs.csv`, `summary.csv`, `paired.csv` and `report.md`; returns them in words.
+    """Writes `runs.csv`, `summary.csv`, `paired.csv` and `report.md`; returns the gist of them in words.
 
     Raises:
         InputError: the study has gathered no tables, or its folder cannot be written.
@@ -161,14 +52,19 @@ def write_report(folder: Path) -> str:
     with files.writing(folder, "the same command resumes once it can"):
         for name, rows in written.items():
             files.replace_file(folder / f"{name}.csv", files.csv_text(rows))
-        files.replace_file(folder / "report.md", report_text(summaries, differences))
-    lines = [
-        f"{shown_space(row['coordinates'])}, {row['condition']}, {row['seeds']} seeds: goal ratio "
-        f"{row['goal_ratio']:.3f} [{row['goal_ratio_low']:.3f}, {row['goal_ratio_high']:.3f}], worst tenth "
-        f"{row['cvar']:.3f} [{row['cvar_low']:.3f}, {row['cvar_high']:.3f}]; 0.9 held from "
-        f"{_millions(row['steps_to_0.9_median'])}, 0.95 from {_millions(row['steps_to_0.95_median'])}"
-        for row in summaries
-    ]
+        files.replace_file(folder / "report.md", markdown_report(summaries, differences))
+    return "\n".join(_in_words(summaries, differences))
+
+
+def _in_words(summaries: Sequence[files.Row], differences: Sequence[files.Row]) -> Iterator[str]:
+    for row in summaries:
+        yield (
+            f"{shown_space(row['coordinates'])}, {row['condition']}, {row['seeds']} seeds: goal ratio "
+            f"{row['goal_ratio']:.3f} [{row['goal_ratio_low']:.3f}, {row['goal_ratio_high']:.3f}], "
+            f"worst tenth {row['cvar']:.3f} [{row['cvar_low']:.3f}, {row['cvar_high']:.3f}]; 0.9 held from "
+            f"{_millions(row['steps_to_0.9_median'], ' M steps')}, "
+            f"0.95 from {_millions(row['steps_to_0.95_median'], ' M steps')}"
+        )
     by_measure = {(row["coordinates"], row["condition"], row["measure"]): row for row in differences}
     for coordinates, condition in dict.fromkeys(key[:2] for key in by_measure):
         ratio, steps = (
@@ -176,14 +72,87 @@ def write_report(folder: Path) -> str:
             for name in ("goal_ratio", f"steps_to_{THRESHOLDS[-1]:g}")
         )
         interval_of_ratio = f"[{ratio['difference_low']:+.3f}, {ratio['difference_high']:+.3f}]"
-        lines.append(
+        yield (
             f"{shown_space(coordinates)}, {condition} - {ratio['baseline']}, {ratio['pairs']} pairs: "
             f"goal ratio {ratio['difference']:+.3f} {interval_of_ratio}, p {ratio['p']:.2g}; "
             f"{THRESHOLDS[-1]:g} held sooner in {steps['better']}, alike in {steps['equal']}, "
             f"later in {steps['worse']}"
         )
-    return "\n".join(lines)
 
 
-def _millions(steps: float) -> str:
-    return f"{steps / 1e6:.2f} M steps" if np.isfinite(steps) else "never"
+def markdown_report(summaries: Sequence[files.Row], differences: Sequence[files.Row]) -> str:
+    """For each space a table of how its conditions ended, and one of each paired comparison.
+
+    Ratios are interquartile means over seeds with intervals, steps medians with the least and the greatest,
+    differences means over pairs with intervals.
+
+    Args:
+        summaries: rows of `measures.summary`.
+        differences: rows of `measures.paired`.
+    """
+    parts = []
+    for space in dict.fromkeys(row["coordinates"] for row in summaries):
+        conditions = [row for row in summaries if row["coordinates"] == space]
+        seeds = max(row["seeds"] for row in conditions)
+        parts.append(f"## {shown_space(space)}: {seeds} seed{'s' * (seeds > 1)}\n")
+        parts.append(_ends(conditions, seeds))
+        of_space = [row for row in differences if row["coordinates"] == space]
+        for condition, baseline in dict.fromkeys((row["condition"], row["baseline"]) for row in of_space):
+            parts.append(f"In pairs, {condition} - {baseline}:\n")
+            rows = [row for row in of_space if (row["condition"], row["baseline"]) == (condition, baseline)]
+            lines = [[_name(row["measure"]), *_difference(row)] for row in rows]
+            parts.append(files.markdown_text(["", "better / equal / worse", "difference", "p"], lines))
+    return "\n".join(parts)
+
+
+def _ends(conditions: Sequence[files.Row], seeds: int) -> str:
+    """How each condition ended; those with fewer seeds, of which runs diverged, say so."""
+    heads = [
+        row["condition"] if row["seeds"] == seeds else f"{row['condition']} ({row['seeds']} seeds)"
+        for row in conditions
+    ]
+    first = conditions[0]
+    groups = [name for name in first if name.startswith("goal_ratio.") and f"{name}_low" in first]
+    lines = []
+    for name in (*RATIOS, *groups, *STEPS, *TRAINING):
+        text = _steps if name in STEPS else _number
+        lines.append([_name(name), *(text(row, name) for row in conditions)])
+    return files.markdown_text(["", *heads], lines)
+
+
+def _name(measure: str) -> str:
+    group = measure.partition("goal_ratio.")[2]
+    return f"{group} at the end" if group else NAMES[measure]
+
+
+def _steps(row: files.Row, name: str) -> str:
+    """The median, the least and the greatest; and in how many runs it was reached where it is not all."""
+    median, least, greatest = (_millions(row[f"{name}_{which}"]) for which in ("median", "min", "max"))
+    reached = row[f"{name}_reached"]
+    if not reached:
+        return "never"
+    among = f", {reached} of {row['seeds']}" if reached < row["seeds"] else ""
+    return f"{median} ({least}-{greatest}){among}"
+
+
+def _difference(row: files.Row) -> list[str]:
+    counts = [row[which] for which in ("better", "equal", "worse")]
+    if row["measure"] in STEPS:
+        millions = {name: row[name] / 1e6 for name in ("difference", "difference_low", "difference_high")}
+        found = _number(millions, "difference", "{:+.2f}")
+    else:
+        found = _number(row, "difference", "{:+.3f}")
+    over = f" over {row['pairs']} pairs" if found and row["pairs"] < sum(counts) else ""
+    return [" / ".join(map(str, counts)), found + over, "" if np.isnan(row["p"]) else f"{row['p']:.2g}"]
+
+
+def _number(row: files.Row, name: str, form: str = "{:.3f}") -> str:
+    """The value, with its interval where there is one; nothing where there is no value."""
+    value, low, high = (row[key] for key in (name, f"{name}_low", f"{name}_high"))
+    if np.isnan(value):
+        return ""
+    return form.format(value) + ("" if np.isnan(low) else f" [{form.format(low)}, {form.format(high)}]")
+
+
+def _millions(steps: float, unit: str = "") -> str:
+    return f"{steps / 1e6:.2f}{unit}" if np.isfinite(steps) else "never"
