@@ -14,7 +14,7 @@ from pecjax.envs.task import num_configs
 from pecjax.plotting import benchmark as figures
 from pecjax.studies import benchmark
 from pecjax.studies.benchmark import CELLS, CONFIRMATION, SCREENING, STUDIES
-from pecjax.studies.benchmark_measures import by_run, compare, read_cells
+from pecjax.studies.benchmark_measures import by_run, compare, compare_together, read_cells
 from pecjax.studies.benchmark_report import in_short, scores, write_benchmark_report
 from pecjax.studies.run import run_study
 from pecjax.training.kinds import make_kind
@@ -127,9 +127,24 @@ def test_comparisons_are_of_pairs_and_the_first_ones_are_corrected_together(fold
     assert logs[0] != logs[1]
     columns = " | ".join(f"{score:+.0%}" for score in expected)
     assert scores(rows).splitlines()[2] == f"| pec, α = 0.2 | {columns} |"
-    firsts, at_the_end = in_short(rows).split("\n\n")
+    firsts, at_the_end = in_short(rows, []).split("\n\n")
     assert f"{found.value:+.0%} [{found.low:+.0%}, {found.high:+.0%}]" in firsts.splitlines()[2]
     assert f"{ends.value:+.2f} [{ends.low:+.2f}, {ends.high:+.2f}]" in at_the_end.splitlines()[2]
+
+
+def test_cells_under_ppo_have_a_mean_that_weighs_them_alike(folder):
+    shutil.copytree(folder / "rooms-pairs", folder / "rooms-pairs-apex")
+    runs = {name: by_run(table, CELLS[name]) for name, table in read_cells(folder).items()}
+    rows = pd.DataFrame(compare(runs)).query("first and condition == 'pec, α = 0.2'").set_index("cell")
+    found = {row["condition"]: row for row in compare_together(runs)}
+    assert list(found) == ["dro, step = 0.1", "pec, α = 0.2"]
+    mean = np.log1p(rows.value[["rooms-pairs", "rooms-storm"]].astype(float)).mean()
+    assert found["pec, α = 0.2"]["value"] == pytest.approx(np.expm1(mean))
+    head, _, *lines = write_benchmark_report(folder).partition("## In short")[2].split("\n\n")[1].splitlines()
+    assert head == "| steps, over uniform | rooms-pairs | rooms-storm | rooms-pairs-apex | mean under PPO |"
+    texts = [f"{found['pec, α = 0.2'][which]:+.0%}" for which in ("value", "low", "high")]
+    assert lines[0].endswith("| {} [{}, {}] |".format(*texts))
+    assert compare_together({"rooms-pairs": runs["rooms-pairs"]}) == []
 
 
 def test_the_figures_show_the_table_and_the_curves(folder):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pecjax.studies.comparison import holm, relative, steps_to
+from pecjax.studies.comparison import holm, mean_relative, relative, steps_to
 
 STEPS = np.arange(1, 9) * 100.0
 
@@ -49,6 +49,18 @@ def test_relative_is_a_geometric_mean_whose_interval_holds_the_truth_as_often_as
     assert 0.935 < np.mean(held) < 0.965
     one = relative(np.array([80.0]), np.array([100.0]))
     assert one.value == pytest.approx(-0.2) and np.isnan([one.low, one.high]).all() and one.p == 1
+
+
+def test_the_mean_over_groups_is_that_of_scipy():
+    """Of two groups it is half of what Welch's test has of the first and the second with its sign changed."""
+    draw = np.random.default_rng(3)
+    one, two = draw.normal(-0.2, 0.1, 10), draw.normal(0.1, 0.4, 5)
+    found = mean_relative([(np.exp(one), np.ones(10)), (3 * np.exp(two), np.full(5, 3.0))])
+    welch = stats.ttest_ind(one, -two, equal_var=False).confidence_interval()
+    expected = [(one.mean() + two.mean()) / 2, welch.low / 2, welch.high / 2]
+    np.testing.assert_allclose(found, np.expm1(expected), rtol=1e-9)
+    alone = mean_relative([(np.exp(one), np.ones(10))])
+    np.testing.assert_allclose(alone, relative(np.exp(one), np.ones(10))[:3], rtol=1e-9)
 
 
 def test_the_p_value_counts_all_exchanges():

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from pecjax.agents import PPO
 from pecjax.errors import InputError
 from pecjax.storage import files
 from pecjax.storage.tables import read_table
 from pecjax.studies.benchmark import CELLS, Cell
-from pecjax.studies.comparison import difference, holm, relative, steps_to
+from pecjax.studies.comparison import difference, holm, mean_relative, relative, steps_to
 from pecjax.studies.measures import BASELINE
 from pecjax.studies.statistics import area_under_curve
 from pecjax.studies.tables import conditions_of
@@ -82,6 +83,26 @@ def compare(runs: Mapping[str, pd.DataFrame]) -> list[files.Row]:
     for row, corrected in zip(first, corrected_p, strict=True):
         row["p_holm"] = float(corrected)
     return rows
+
+
+def compare_together(runs: Mapping[str, pd.DataFrame]) -> list[files.Row]:
+    """One row a condition: steps to the middle thresholds over uniform ones, the mean of the cells under PPO.
+
+    Conditions that one of these cells lacks are left out; where there is one cell, all are.
+    """
+    cells = {name: table for name, table in runs.items() if isinstance(CELLS[name].agent, PPO)}
+    tables = [
+        table.pivot(index="seed", columns="condition", values=first_measure(CELLS[name]))
+        for name, table in cells.items()
+    ]
+    if len(tables) < 2 or min(map(len, tables)) < 2:
+        return []
+    shared = [name for name in tables[0] if name != BASELINE and all(name in table for table in tables)]
+    return [
+        {"cell": "mean under PPO", "condition": name}
+        | mean_relative([(table[name].to_numpy(), table[BASELINE].to_numpy()) for table in tables])._asdict()
+        for name in shared
+    ]
 
 
 def _of_cell(name: str, cell: Cell, runs: pd.DataFrame) -> Iterator[files.Row]:

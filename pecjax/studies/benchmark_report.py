@@ -14,6 +14,7 @@ from pecjax.studies.benchmark_measures import (
     STEPS,
     by_run,
     compare,
+    compare_together,
     first_measure,
     read_cells,
     steps_measures,
@@ -49,15 +50,20 @@ def table(name: str, runs: pd.DataFrame, compared: list[files.Row]) -> str:
     return files.markdown_text(heads, lines)
 
 
-def in_short(compared: list[files.Row]) -> str:
+def in_short(compared: list[files.Row], together: list[files.Row]) -> str:
     """Two tables in Markdown, a row a condition and a column a cell, with 95 % intervals.
 
     First the steps to the middle thresholds over those of uniform sampling, then what the cells measure at
     the end less that of uniform sampling.
+
+    Args:
+        compared: of `compare`.
+        together: of `compare_together`, another column of the first table.
     """
     rows = pd.DataFrame([row for row in compared if row["condition"] != BASELINE])
     ends = rows.loc[rows.measure == rows.cell.map(lambda name: CELLS[name].measured)]
-    steps = _by_cell("steps, over uniform", rows.loc[rows["first"]], "{:+.0%}")
+    firsts = pd.concat([rows.loc[rows["first"]], pd.DataFrame(together)])
+    steps = _by_cell("steps, over uniform", firsts, "{:+.0%}")
     return f"{steps}\n{_by_cell('at the end, less uniform', ends, '{:+.2f}')}"
 
 
@@ -150,7 +156,7 @@ def write_benchmark_report(folder: Path) -> str:
             text += f"\n{_SPENT}\n\n{spent(CELLS[name], rows, of_cell, shares[name])}"
         parts.append(text)
     if any(row["first"] for row in compared):
-        parts.append(f"## In short\n\n{in_short(compared)}")
+        parts.append(f"## In short\n\n{in_short(compared, compare_together(runs))}")
         several = {name: table for name, table in runs.items() if seeds[name] > 1}
         parts += [f"## By chance\n\n{chance(several)}"] if several else []
         parts.append(f"## All together\n\n{scores(compared)}")

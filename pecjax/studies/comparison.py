@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from pecjax.studies.statistics import sign_flip_p
+from pecjax.studies.statistics import Interval, sign_flip_p
 
 CONFIDENCE = 0.95
 
@@ -70,6 +71,22 @@ def difference(ours: np.ndarray, theirs: np.ndarray) -> Comparison:
         error = float(stats.sem(differences))
         low, high = stats.t.interval(CONFIDENCE, pairs - 1, mean, error) if error else (mean, mean)
     return Comparison(mean, float(low), float(high), sign_flip_p(differences), pairs)
+
+
+def mean_relative(groups: Sequence[tuple[np.ndarray, np.ndarray]]) -> Interval:
+    """What `relative` gives, as the geometric mean over groups of pairs, each of which weighs the same.
+
+    The 95 % interval is by Student's t, with degrees of freedom for unequal variances (Satterthwaite 1946).
+
+    Args:
+        groups: ours and theirs, (P,) positive numbers of each, two at least and not all of one ratio.
+    """
+    logs = [np.log(np.asarray(ours, float) / np.asarray(theirs, float)) for ours, theirs in groups]
+    mean = float(np.mean([of.mean() for of in logs]))
+    variances = np.array([of.var(ddof=1) / len(of) for of in logs])
+    freedom = variances.sum() ** 2 / (variances**2 / [len(of) - 1 for of in logs]).sum()
+    low, high = stats.t.interval(CONFIDENCE, freedom, mean, np.sqrt(variances.sum()) / len(logs))
+    return Interval(*(float(np.expm1(log)) for log in (mean, low, high)))
 
 
 def holm(p_values: np.ndarray) -> np.ndarray:
