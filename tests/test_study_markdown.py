@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 from synthetic import study_settings, write_study
 
 from pecjax import InputError, cli
@@ -125,6 +126,17 @@ def test_stored_studies_have_the_tables_of_their_batches(stored, tmp_path):
     write_report(tmp_path)
     for name in REPORT:
         assert (tmp_path / name).read_bytes() == (stored / name).read_bytes()
+
+
+def test_what_the_page_says_of_the_hint_is_what_the_stored_study_has():
+    results = pd.read_csv(STORED[0].parent / "fig4-early" / "results.csv")
+    early = results[results.iteration.isin([60, 80, 100])].groupby(["seed", "sampler"]).goal_ratio.mean()
+    differences = (early.xs("pec", level="sampler") - early.xs("uniform", level="sampler")).to_numpy()
+    interval = stats.ttest_1samp(differences, 0).confidence_interval()
+    page = " ".join((STORED[0].parents[2] / "paper.md").read_text().split())
+    said = f"{differences.mean():.3f} [{interval.low:.3f}, {interval.high:.3f}]"
+    assert f"PEC is above in two pairs, alike in one, below in five: {said}" in page
+    assert [(differences > 1e-9).sum(), (abs(differences) < 1e-9).sum(), len(differences)] == [2, 1, 8]
 
 
 @pytest.mark.slow
