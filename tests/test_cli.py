@@ -435,7 +435,7 @@ def test_bad_options_of_train(options, words, refused):
         (["samplers", "--scale", "paper"], ["unknown scale 'paper'", "full"]),
         (["samplers-tasks", "--scale", "screening"], ["unknown scale 'screening' of samplers-tasks"]),
         (["samplers", "--preset", "fast"], ["settings of its own; leave out --preset"]),
-        (["report"], ["studies/samplers-laptop: no CELL/results.csv", "rooms-pairs"]),
+        (["report"], ["studies/samplers-laptop: neither study.json nor CELL/results.csv", "rooms-pairs"]),
         (["--samplers", "pec", "bandit"], ["unknown sampler 'bandit'"]),
         (["--samplers"], ["--samplers has no value"]),
         (["--seeds"], ["--seeds has no value"]),
