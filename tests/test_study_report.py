@@ -192,6 +192,13 @@ def test_groups_of_a_held_out_part_are_reported_paired_and_drawn(tmp_path, monke
     study_report.write_report(tmp_path / "study")
     summary = pd.read_csv(tmp_path / "study/summary.csv").set_index("condition")
     np.testing.assert_allclose(summary["goal_ratio.easy"], summary.goal_ratio / 2)
+    easy = summary.loc[["pec, α = 0.2", "uniform"], "goal_ratio.easy"]
+    (row,) = [
+        line.split(" | ")
+        for line in (tmp_path / "study/report.md").read_text().partition("In pairs")[0].splitlines()
+        if line.startswith("| easy at the end")
+    ]
+    assert [cell.partition(" [")[0] for cell in row[1:]] == [f"{ratio:.3f}" for ratio in easy]
     table = pd.read_csv(tmp_path / "study/paired.csv").set_index("measure")
     np.testing.assert_allclose(table.difference[["goal_ratio", "goal_ratio.easy"]], 0, atol=1e-12)
     hard = table.loc["goal_ratio.hard"]

@@ -16,6 +16,7 @@ from pecjax.studies.measures import (
     THRESHOLDS,
     TRAINING,
     by_run,
+    group_columns,
     paired,
     summary,
 )
@@ -52,7 +53,7 @@ def write_report(folder: Path) -> str:
     with files.writing(folder, "the same command resumes once it can"):
         for name, rows in written.items():
             files.replace_file(folder / f"{name}.csv", files.csv_text(rows))
-        files.replace_file(folder / "report.md", markdown_report(summaries, differences))
+        files.replace_file(folder / "report.md", markdown_report(summaries, differences, group_columns(runs)))
     return "\n".join(_in_words(summaries, differences))
 
 
@@ -80,7 +81,9 @@ def _in_words(summaries: Sequence[files.Row], differences: Sequence[files.Row]) 
         )
 
 
-def markdown_report(summaries: Sequence[files.Row], differences: Sequence[files.Row]) -> str:
+def markdown_report(
+    summaries: Sequence[files.Row], differences: Sequence[files.Row], groups: Sequence[str] = ()
+) -> str:
     """For each space a table of how its conditions ended, and one of each paired comparison.
 
     Ratios are interquartile means over seeds with intervals, steps medians with the least and the greatest,
@@ -89,13 +92,14 @@ def markdown_report(summaries: Sequence[files.Row], differences: Sequence[files.
     Args:
         summaries: rows of `measures.summary`.
         differences: rows of `measures.paired`.
+        groups: the goal ratios of groups among their measures, of `measures.group_columns`.
     """
     parts = []
     for space in dict.fromkeys(row["coordinates"] for row in summaries):
         conditions = [row for row in summaries if row["coordinates"] == space]
         seeds = max(row["seeds"] for row in conditions)
         parts.append(f"## {shown_space(space)}: {seeds} seed{'s' * (seeds > 1)}\n")
-        parts.append(_ends(conditions, seeds))
+        parts.append(_ends(conditions, seeds, groups))
         of_space = [row for row in differences if row["coordinates"] == space]
         for condition, baseline in dict.fromkeys((row["condition"], row["baseline"]) for row in of_space):
             parts.append(f"In pairs, {condition} - {baseline}:\n")
@@ -105,14 +109,12 @@ def markdown_report(summaries: Sequence[files.Row], differences: Sequence[files.
     return "\n".join(parts)
 
 
-def _ends(conditions: Sequence[files.Row], seeds: int) -> str:
+def _ends(conditions: Sequence[files.Row], seeds: int, groups: Sequence[str]) -> str:
     """How each condition ended; those with fewer seeds, of which runs diverged, say so."""
     heads = [
         row["condition"] if row["seeds"] == seeds else f"{row['condition']} ({row['seeds']} seeds)"
         for row in conditions
     ]
-    first = conditions[0]
-    groups = [name for name in first if name.startswith("goal_ratio.") and f"{name}_low" in first]
     lines = []
     for name in (*RATIOS, *groups, *STEPS, *TRAINING):
         text = _steps if name in STEPS else _number
