@@ -107,7 +107,8 @@ def spent(cell: Cell, runs: pd.DataFrame, compared: list[files.Row], shares: pd.
     means = {str(condition): rows[[*KINDS]].to_numpy().mean(axis=0) for condition, rows in groups}
     learnable = KINDS.index("learnable")
     found = {row["condition"]: row["value"] for row in compared if row["first"] and row["measure"] == middle}
-    heads = ["", *(kind.replace("_", " ") for kind in KINDS), "κ", "1/κ - 1", "steps, over uniform"]
+    heads = ["", *(kind.replace("_", " ") for kind in KINDS), "κ"]
+    heads += ["steps over uniform, by κ", "steps over uniform, measured"]
     lines = []
     for condition, of in means.items():
         kappa = of[learnable] / means[BASELINE][learnable]
