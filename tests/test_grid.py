@@ -9,7 +9,7 @@ from synthetic import study_settings, write_study
 from test_settings_tree import OWN
 
 from pecjax import InputError, cli, settings_tree
-from pecjax.curriculum import SamplerSettings, uniform
+from pecjax.curriculum import SamplerSettings, by_group, pec, uniform
 from pecjax.plotting import study as study_figures
 from pecjax.studies import report as study_report
 from pecjax.studies.catalogue import find_study
@@ -140,9 +140,22 @@ class WithoutNumbers(SamplerSettings):
 def test_a_sampler_whose_state_lacks_the_number_is_refused():
     own = f"{__name__}:WithoutNumbers"
     alone = ("sampler", (own,))
-    replace(GRID, grid=(alone,)).check()
+    configurations = {GRID.run.task: 20}
+    replace(GRID, grid=(alone,)).check_samplers(configurations)
     with pytest.raises(InputError, match=r"WithoutNumbers: its init does not take floor .* in its state"):
-        replace(GRID, grid=(alone, FLOORS)).check()
+        replace(GRID, grid=(alone, FLOORS)).check_samplers(configurations)
+
+
+@dataclass(frozen=True)
+class OfTwenty(SamplerSettings):
+    def make(self, num_configs):
+        return by_group(pec(2), np.arange(num_configs).reshape(20, -1)[:, 0] % 2)
+
+
+def test_a_sampler_is_made_over_the_configurations_that_there_are():
+    study = replace(GRID, grid=(("sampler", (f"{__name__}:OfTwenty",)),))
+    study.check()
+    study.check_samplers({GRID.run.task: 20})
 
 
 @pytest.fixture(scope="module")

@@ -276,6 +276,12 @@ def test_bins_of_columns_are_groups():
     assert c.bins([np.zeros(5)], 3).tolist() == [0] * 5
 
 
+@pytest.mark.parametrize(("values", "number"), [(4, 2), (5, 5), (8, 4), (10, 3), (1000, 7)])
+def test_bins_of_different_values_have_equally_many_but_for_one(values, number):
+    sizes = np.bincount(c.bins([np.arange(values)], number))
+    assert len(sizes) == number and np.ptp(sizes) <= 1
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -284,6 +290,10 @@ def test_bins_of_columns_are_groups():
         (lambda: c.table_top(N, best=1.5), "best is 1.5; it must be a number above 0, 1 at most"),
         (lambda: c.floor(c.pec(N), np.nan), "epsilon is nan; it must be a number from 0 to 1"),
         (lambda: c.failure_ema(N, np.inf), "half_life is inf; it must be a number above 0, and finite"),
+        (lambda: c.failure_ema(N, power=np.inf), "power is inf; it must be a number 0 or more, and finite"),
+        (lambda: c.dro(N, step=np.inf), "step is inf; it must be a number 0 or more, and finite"),
+        (lambda: c.plr(N, score="max-mc"), "score is 'max-mc'; it is one of signal, max_mc, solved_signal"),
+        (lambda: c.per_step(c.pec(N)).init(alpha=0.1), "no alpha; it has no number of its own"),
         (
             lambda: c.mixture({"a": c.pec(N), "b": c.pec(7)}),
             f"mixture: a is over {N} configurations, b over 7",

@@ -158,6 +158,13 @@ def test_the_numbers_are_those_of_the_agent_and_the_task_that_are_named(monkeypa
         (["train", "--task.resolution", "20"], "--task.resolution"),
         (["train", "--agent.num-minibatches", "5"], "5 minibatches do not divide 32 steps"),
         (["train", "--sampler.alpha", "-1"], "alpha is -1"),
+        (["train", "--agent.network.hidden"], "hidden has 0 layers"),
+        (
+            ["train", "--agent.network.memory", "gru", "--agent.num-minibatches", "0"],
+            "environments, steps, epochs and minibatches must each be 1 or more",
+        ),
+        (["train", "--agent", "apex", "--agent.batch-size", "0"], "batch-size and shards must each be 1"),
+        (["study", "--alphas", "-1"], "alpha is -1"),
         (["train", "--agent.clip-epsilon", "nan"], "clip-epsilon is nan"),
         (["train", "--stop.iterations", "0"], "iterations is 0"),
         (

@@ -49,7 +49,7 @@ class Sampler(NamedTuple):
             all devices on that mesh axis are summed.
     """
 
-    init: Callable[[], Any]
+    init: Callable[..., Any]
     probabilities: Callable[[Any], jax.Array]
     sample: Callable[..., jax.Array]
     update: Callable[..., Any]

@@ -92,7 +92,7 @@ def bins(columns: Sequence[Any], number: int) -> np.ndarray:
         raise InputError(f"bins: {number} bins; give 1 or more")
     places = []
     for column in arrays:
-        edges = np.unique(np.quantile(column, np.arange(1, number) / number, method="nearest"))
+        edges = np.unique(np.quantile(column, np.arange(1, number) / number, method="inverted_cdf"))
         places.append(np.searchsorted(edges, column, side="left"))
     _, groups = np.unique(np.stack(places), axis=1, return_inverse=True)
     return groups.reshape(-1)

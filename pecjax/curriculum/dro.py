@@ -62,8 +62,8 @@ def dro(num_configs: int, step: Any = 0.05, entropy: Any = 0.05, half_life: Any 
     Raises:
         InputError: fewer than one configuration, or a number out of its range.
     """
-    check_number("step", step, 0)
-    check_number("entropy", entropy, 0)
+    check_number("step", step, 0, finite=True)
+    check_number("entropy", entropy, 0, finite=True)
     check_number("half_life", half_life, 0, above=True, finite=True)
 
     def begin() -> Climber:

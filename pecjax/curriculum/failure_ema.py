@@ -43,7 +43,7 @@ def failure_ema(num_configs: int, half_life: Any = 10.0, power: Any = 2.0) -> Sa
         InputError: fewer than one configuration, or a number out of its range.
     """
     check_number("half_life", half_life, 0, above=True, finite=True)
-    check_number("power", power, 0)
+    check_number("power", power, 0, finite=True)
 
     def weight(failure: jax.Array, numbers: Numbers) -> jax.Array:
         return jnp.exp(numbers["power"] * jnp.log(jnp.maximum(failure, 1e-30)))  # several times as fast as **

@@ -9,10 +9,9 @@ import jax
 import jax.numpy as jnp
 
 from pecjax.curriculum.base import Sampler, SamplerSettings
-from pecjax.curriculum.memory import begin_memory, remember
+from pecjax.curriculum.memory import from_memory
 from pecjax.curriculum.numbers import Numbers, check_number
 from pecjax.curriculum.pec import MAX_ALPHA
-from pecjax.curriculum.statistics import from_statistics
 
 
 @dataclass(frozen=True)
@@ -44,18 +43,10 @@ def forgetting(num_configs: int, alpha: Any = 0.2, half_life: Any = 20.0) -> Sam
         InputError: fewer than one configuration, or a number out of its range.
     """
     check_number("alpha", alpha, 0, MAX_ALPHA)
-    check_number("half_life", half_life, 0, above=True)
 
     def weight(memory: jax.Array, numbers: Numbers) -> jax.Array:
         known = memory.sum(axis=0)
         ratio = memory[1] / jnp.where(known > 0, known, 1.0)
         return jnp.where(known > 0, ratio + numbers["alpha"], 1.0)
 
-    return from_statistics(
-        num_configs,
-        {"alpha": alpha, "half_life": half_life},
-        begin=lambda: begin_memory(num_configs),
-        learn=lambda memory, counts, numbers: remember(memory, counts, numbers["half_life"]),
-        weight=weight,
-        each_alone=True,
-    )
+    return from_memory(num_configs, {"alpha": alpha, "half_life": half_life}, weight)

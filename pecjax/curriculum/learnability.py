@@ -8,10 +8,9 @@ from typing import Any
 import jax
 
 from pecjax.curriculum.base import Sampler, SamplerSettings
-from pecjax.curriculum.memory import begin_memory, remember
-from pecjax.curriculum.numbers import Numbers, check_number
+from pecjax.curriculum.memory import from_memory
+from pecjax.curriculum.numbers import Numbers
 from pecjax.curriculum.posterior import beta_parameters
-from pecjax.curriculum.statistics import from_statistics
 
 
 @dataclass(frozen=True)
@@ -40,17 +39,9 @@ def learnability(num_configs: int, half_life: Any = 3.0) -> Sampler:
     Raises:
         InputError: fewer than one configuration, or a half-life that is not above 0.
     """
-    check_number("half_life", half_life, 0, above=True)
 
     def weight(memory: jax.Array, numbers: Numbers) -> jax.Array:
         a, b = beta_parameters(memory, 1.0)
         return a * b / ((a + b) * (a + b + 1))
 
-    return from_statistics(
-        num_configs,
-        {"half_life": half_life},
-        begin=lambda: begin_memory(num_configs),
-        learn=lambda memory, counts, numbers: remember(memory, counts, numbers["half_life"]),
-        weight=weight,
-        each_alone=True,
-    )
+    return from_memory(num_configs, {"half_life": half_life}, weight)

@@ -2,8 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import jax
 import jax.numpy as jnp
+
+from pecjax.curriculum.base import Sampler
+from pecjax.curriculum.numbers import check_number
+from pecjax.curriculum.statistics import Weight, from_statistics
+
+
+def from_memory(num_configs: int, numbers: Mapping[str, Any], weight: Weight) -> Sampler:
+    """Draws each configuration in proportion to a weight computed from successes and failures that fade.
+
+    The statistics are (2, N) float32, of `remember`.
+
+    Args:
+        num_configs: N, at least 1.
+        numbers: the scalars that tune it (several by `vmap`), `half_life` among them.
+        weight: (statistics, numbers) -> (N,) 0 or more. Where all are 0, draws are uniform.
+
+    Raises:
+        InputError: fewer than one configuration, or a half-life that is not above 0.
+    """
+    check_number("half_life", numbers["half_life"], 0, above=True)
+    return from_statistics(
+        num_configs,
+        numbers,
+        begin=lambda: begin_memory(num_configs),
+        learn=lambda memory, counts, own: remember(memory, counts, own["half_life"]),
+        weight=weight,
+        each_alone=True,
+    )
 
 
 def begin_memory(num_configs: int) -> jax.Array:

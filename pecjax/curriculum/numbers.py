@@ -47,5 +47,6 @@ def scalars(numbers: Mapping[str, Any], changes: Mapping[str, Any]) -> Numbers:
         InputError: a change to a number that it does not have.
     """
     if unknown := set(changes) - set(numbers):
-        raise InputError(f"the sampler has no {', '.join(sorted(unknown))}; it has {[*numbers]}")
+        own = ", ".join(numbers) or "no number of its own"
+        raise InputError(f"the sampler has no {', '.join(sorted(unknown))}; it has {own}")
     return {name: jnp.asarray(value, jnp.float32) for name, value in {**numbers, **changes}.items()}

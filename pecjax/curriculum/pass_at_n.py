@@ -8,10 +8,9 @@ from typing import Any
 import jax
 
 from pecjax.curriculum.base import Sampler, SamplerSettings
-from pecjax.curriculum.memory import begin_memory, remember
+from pecjax.curriculum.memory import from_memory
 from pecjax.curriculum.numbers import Numbers, check_number
 from pecjax.curriculum.posterior import beta_parameters, gain_of_retries
-from pecjax.curriculum.statistics import from_statistics
 
 
 @dataclass(frozen=True)
@@ -43,17 +42,9 @@ def pass_at_n(num_configs: int, tries: Any = 8.0, half_life: Any = 10.0) -> Samp
         InputError: fewer than one configuration, or a number out of its range.
     """
     check_number("tries", tries, 1)
-    check_number("half_life", half_life, 0, above=True)
 
     def weight(memory: jax.Array, numbers: Numbers) -> jax.Array:
         a, b = beta_parameters(memory, 0.5)
         return gain_of_retries(a / (a + b), numbers["tries"])
 
-    return from_statistics(
-        num_configs,
-        {"tries": tries, "half_life": half_life},
-        begin=lambda: begin_memory(num_configs),
-        learn=lambda memory, counts, numbers: remember(memory, counts, numbers["half_life"]),
-        weight=weight,
-        each_alone=True,
-    )
+    return from_memory(num_configs, {"tries": tries, "half_life": half_life}, weight)

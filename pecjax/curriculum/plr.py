@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -98,12 +98,14 @@ def plr(
     Mead et al. 2026). Below 0 they count as 0.
 
     Raises:
-        InputError: fewer than one configuration, more than `MOST_RANKED` by rank, or a number out of its
-            range; at an update, outcomes without a signal, or by `max_mc` without an episode return.
+        InputError: fewer than one configuration, more than `MOST_RANKED` by rank, no such score, or a
+            number out of its range; at an update, outcomes without a signal, or by `max_mc` without an episode return.
     """
     check_number("replay", replay, 0, 1)
     check_number("staleness", staleness, 0, 1)
     check_number("temperature", temperature, 0, above=True)
+    if score not in get_args(Score):
+        raise InputError(f"score is {score!r}; it is one of {', '.join(get_args(Score))}")
     if rank and num_configs > MOST_RANKED:
         raise InputError(
             f"num_configs is {num_configs}; by rank there may be {MOST_RANKED}, as all are sorted for every "

@@ -8,11 +8,10 @@ from typing import Any
 import jax
 
 from pecjax.curriculum.base import Sampler, SamplerSettings
-from pecjax.curriculum.memory import begin_memory, remember
+from pecjax.curriculum.memory import from_memory
 from pecjax.curriculum.numbers import Numbers, check_number
 from pecjax.curriculum.posterior import beta_parameters, gain_of_retries
 from pecjax.curriculum.ranking import best_share
-from pecjax.curriculum.statistics import from_statistics
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,6 @@ def table_top(
         InputError: fewer than one configuration, or a number out of its range.
     """
     check_number("tries", tries, 1)
-    check_number("half_life", half_life, 0, above=True)
     check_number("best", best, 0, 1, above=True)
     check_number("mass", mass, 0, 1)
 
@@ -60,11 +58,4 @@ def table_top(
         top = best_share(gain_of_retries(a / (a + b), numbers["tries"]), numbers["best"])
         return numbers["mass"] * top + (1 - numbers["mass"]) / num_configs
 
-    return from_statistics(
-        num_configs,
-        {"tries": tries, "half_life": half_life, "best": best, "mass": mass},
-        begin=lambda: begin_memory(num_configs),
-        learn=lambda memory, counts, numbers: remember(memory, counts, numbers["half_life"]),
-        weight=weight,
-        each_alone=True,
-    )
+    return from_memory(num_configs, {"tries": tries, "half_life": half_life, "best": best, "mass": mass}, weight)

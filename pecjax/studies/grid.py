@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 
 from pecjax import settings_tree
+from pecjax.envs.task import TaskSettings
 from pecjax.errors import InputError
 from pecjax.storage.files import Row, exact_text
 from pecjax.training.kinds import kind_name
@@ -82,11 +83,21 @@ class StudySettings:
         for seed in self.seeds:
             check_settings(dataclasses.replace(self.run, seed=seed))
         for values in self._combinations():
+            check_settings(self.settings_of(RunSpec(0, values)))
+
+    def check_samplers(self, num_configs: Mapping[TaskSettings, int]) -> None:
+        """Makes sure that the sampler of every run can be made, and has the numbers that it varies.
+
+        Args:
+            num_configs: of each of the study's tasks.
+
+        Raises:
+            InputError: the first that cannot, or lacks one.
+        """
+        for values in self._combinations():
             spec = RunSpec(0, values)
             settings = self.settings_of(spec)
-            check_settings(settings)
-            settings.agent.check()
-            _check_numbers(self.numbers([spec]), settings)
+            _check_numbers(self.numbers([spec]), settings, num_configs[settings.task])
 
     def _check_paths(self) -> None:
         paths = [path for path, _ in self.grid]
@@ -197,9 +208,9 @@ def _is_number(path: str, value: Any) -> bool:
     return path.startswith("sampler.") and isinstance(value, float)
 
 
-def _check_numbers(varied: Mapping[str, Sequence[float]], settings: RunSettings) -> None:
+def _check_numbers(varied: Mapping[str, Sequence[float]], settings: RunSettings, num_configs: int) -> None:
     """Makes sure that the sampler's state has the numbers that a study varies in it."""
-    sampler = settings.sampler.make(1)
+    sampler = settings.sampler.make(num_configs)
     try:
         jax.eval_shape(lambda: sampler.init(**{name: values[0] for name, values in varied.items()}))
     except TypeError as error:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import jax
 
-from pecjax.envs.task import Task, TaskSettings, World
+from pecjax.envs.task import Task, TaskSettings, World, num_configs
 from pecjax.errors import DivergedError, StoppedError
 from pecjax.runtime.signals import Interruption
 from pecjax.storage.files import writing
@@ -40,6 +40,7 @@ def run_study(settings: StudySettings, folder: Path, notice: str | None = None) 
     batches = settings.batches()
     tasks = dict.fromkeys(settings.settings_of(spec).task for specs in batches for spec in specs)
     worlds = {task: task.make() for task in tasks}
+    settings.check_samplers({task: num_configs(world.table) for task, (_, world) in worlds.items()})
     directory = StudyDirectory(folder)
     runs = sum(map(len, batches))
     with (

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pecjax.curriculum import bins
 from pecjax.envs.task import EvalSet, num_configs
 from pecjax.training.measures import by_group, figures_of, only
 from pecjax.training.run_episodes import EvalResult
@@ -27,19 +28,18 @@ def make_report(result: EvalResult, about: EvalSet, features: Mapping[str, np.nd
     """
     number = num_configs(about.table)
     groups = {name: figures_of(only(result, of), about, number) for name, of in by_group(result, about)}
-    bins = {}
+    by_feature = {}
     for name, values in features.items():
         of_episode = np.asarray(values)[result.config_id]
-        bins[name] = [
+        by_feature[name] = [
             {"low": float(low), "high": float(high)} | figures_of(only(result, inside), about, number)
             for low, high, inside in _bins(of_episode)
         ]
-    return {"all": figures_of(result, about, number), "groups": groups, "features": bins}
+    return {"all": figures_of(result, about, number), "groups": groups, "features": by_feature}
 
 
 def _bins(values: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
     """The lowest and highest number of each bin, and which (E,) are in it; equal numbers stay together."""
-    edges = np.unique(np.quantile(values, np.arange(1, BINS) / BINS, method="inverted_cdf"))
-    place = np.searchsorted(edges, values, side="left")
-    parts = [place == number for number in range(len(edges) + 1)]
-    return [(values[part].min(), values[part].max(), part) for part in parts if part.any()]
+    place = bins([values], BINS)
+    parts = [place == number for number in range(place.max() + 1)]
+    return [(values[part].min(), values[part].max(), part) for part in parts]

@@ -48,11 +48,13 @@ def check_limits(settings: Any) -> None:
             most = f"{most:,} is the most" if isinstance(value, int) else "it must be finite"
             raise InputError(f"{name.replace('_', '-')} is {str(value)[:30]}; {most}")
     for path, layers in settings_tree.leaves(settings.agent):
-        if path.rpartition(".")[2] not in ("hidden", "trunk"):
+        name = path.rpartition(".")[2]
+        if name not in ("hidden", "trunk") or not isinstance(layers, tuple):
             continue
-        if len(layers) > MAX_LAYERS or any(width < 1 for width in layers):
+        least = 1 if name == "hidden" else 0
+        if not least <= len(layers) <= MAX_LAYERS or any(width < 1 for width in layers):
             raise InputError(
-                f"a network has {len(layers)} layers, {str(layers)[:60]} wide; it may have {MAX_LAYERS}, "
+                f"{name} has {len(layers)} layers, {str(layers)[:60]} wide; give {least} to {MAX_LAYERS}, "
                 "each at least 1 wide"
             )
     agent = settings.agent

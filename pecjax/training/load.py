@@ -75,6 +75,7 @@ def open_run(folder: str | Path, checkpoint: int | None = None) -> Trained:
     folder = find_run(Path(folder))
     directory = RunDirectory(folder)
     settings = dataclasses.replace(directory.settings(), task=directory.task())
+    check_settings(settings)
     num_devices = choose_num_devices(None, settings.agent.device_divisor, settings.agent.divided)
     run = build(settings, num_devices, trains=False)
     iteration, learner = Checkpoints(folder).load_learner(abstract_state(run).learner, checkpoint)

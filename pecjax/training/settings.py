@@ -88,12 +88,11 @@ class RunSettings:
 
 
 def check_settings(settings: RunSettings) -> None:
-    """Makes sure that the settings can be run; the samplers check their numbers themselves.
+    """Makes sure that the settings can be run, as far as they tell without the task.
 
     Raises:
         InputError: the first setting that cannot.
     """
-    settings.sampler.make(1)
     counts = {
         "iterations": settings.stop.iterations,
         "num-envs": settings.agent.num_envs,
@@ -112,6 +111,7 @@ def check_settings(settings: RunSettings) -> None:
         if not 0 <= seed < 2**31:
             raise InputError(f"seed is {seed}; it must lie in 0 to 2147483647")
     check_limits(settings)
+    settings.agent.check()
 
 
 def override(

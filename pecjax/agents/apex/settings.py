@@ -99,9 +99,11 @@ class Apex(AgentSettings):
         """Raises InputError where the numbers do not fit one another."""
         check_decay(self.decay_steps)
         shards, steps = self.replay.num_shards, self.rollout_length * self.num_envs
-        if min(self.num_envs, self.num_steps, self.num_actors, self.rollout_length, self.n_step, shards) < 1:
+        of_rollouts = min(self.num_envs, self.num_steps, self.num_actors, self.rollout_length)
+        if min(of_rollouts, self.n_step, self.batch_size, shards) < 1:
             raise InputError(
-                "environments, steps, actors, rollout-length, n-step and shards must each be 1 or more"
+                "environments, steps, actors, rollout-length, n-step, batch-size and shards must each be 1 "
+                "or more"
             )
         if self.num_envs % shards or self.batch_size % shards:
             raise InputError(
