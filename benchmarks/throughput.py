@@ -70,7 +70,7 @@ def training_parts() -> Group:
     policy, update = learning.learner(task, mesh, settings)
     return {
         "C MuJoCo rollout, physics alone": w.c_physics(scene, *batch),
-        "controller, MJX, wall distance": w.flight(scene, mesh, *batch),
+        "controller, physics, wall distance": w.flight(scene, mesh, *batch),
         "environment alone": w.environment(task, world, sampler, mesh, *batch),
         "policy step": policy,
         "PPO update": update,

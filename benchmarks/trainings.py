@@ -8,7 +8,7 @@ from pathlib import Path
 import jax
 from workloads import Workload
 
-from pecjax.studies.grid import StudySettings, numbers
+from pecjax.studies.grid import StudySettings
 from pecjax.training.build import build
 from pecjax.training.checkpoint import Checkpoints, ResumeState
 from pecjax.training.presets import PRESETS
@@ -26,8 +26,8 @@ def study(alphas: tuple[float, ...], parallel_runs: int) -> Workload:
         number = len(specs)
         if number not in programs:
             programs[number] = several_runs(settings.run, task, world, number)
-        found = {"alpha": [numbers(spec)["alpha"] for spec in specs]}
-        states.append((number, programs[number].init([spec.seed for spec in specs], found)))
+        state = programs[number].init([spec.seed for spec in specs], settings.numbers(specs))
+        states.append((number, state))
 
     def run() -> None:
         for place, (number, state) in enumerate(states):
@@ -54,6 +54,6 @@ def checkpointing(settings: RunSettings) -> tuple[Workload, Workload]:
     def checkpoint(folder: tempfile.TemporaryDirectory = folder) -> None:  # which lives as long as this
         carry[1] += 1
         checkpoints.save_learner(carry[1], carry[0].learner)
-        checkpoints.save_state(ResumeState.make(carry[0], carry[1], 0, 0.0))
+        checkpoints.save_state(ResumeState.make(carry[0], carry[1], 0.0))
 
     return Workload(interval, 1, "times/s"), Workload(checkpoint, 1, "times/s")

@@ -76,7 +76,7 @@ def c_physics(scene: pecjax.Scene, num_envs: int, num_steps: int) -> Workload:
 
 
 def flight(scene: pecjax.Scene, mesh: Mesh, num_envs: int, num_steps: int) -> Workload:
-    """Our controller, MJX and the distance to the walls."""
+    """Our controller, physics and the distance to the walls."""
     task = RoomsTask(scene.vehicle)
     start = jnp.tile(jnp.array([0.0, -2.0, 1.2]), (num_envs, 1))
     drones = jax.vmap(hover)(start, jnp.linspace(-3, 3, num_envs))

@@ -55,6 +55,31 @@ def test_agents_and_samplers_know_nothing_of_each_others_files():
         assert other is None or other not in source, name
 
 
+IMPORT_BENCHMARKS = """
+import importlib, pathlib, sys
+sys.path.insert(0, "benchmarks")
+for path in sorted(pathlib.Path("benchmarks").glob("*.py")):
+    try:
+        importlib.import_module(path.stem)
+    except ModuleNotFoundError as error:
+        if error.name.partition(".")[0] not in {"brax", "rejax", "stable_baselines3", "torch"}:
+            raise
+    else:
+        print(path.stem)
+"""
+
+
+def test_benchmarks_use_what_is_there():
+    """All that need nobody else's code can be begun."""
+    found = subprocess.run(
+        [sys.executable, "-c", IMPORT_BENCHMARKS], cwd=ROOT, capture_output=True, text=True, timeout=300
+    )
+    assert found.returncode == 0, found.stderr
+    assert {"bounds", "failure_counts", "learning", "paired", "race", "throughput"} <= set(
+        found.stdout.split()
+    )
+
+
 def test_files_are_short():
     lines = {path: path.read_text().count("\n") for path in (ROOT / "pecjax").rglob("*.py")}
     assert len(lines) > 100

@@ -55,6 +55,10 @@ class Median(Target):
     metrics: ClassVar = {"distance": "median"}
 
 
+class Renamed(Target):
+    metrics: ClassVar = {"length": "last", "cvar": "mean"}
+
+
 @pytest.mark.parametrize("task", [Target(), TwoStates()])
 def test_a_task_that_keeps_its_contract_passes(task):
     check_task(task, TARGET_WORLD)
@@ -68,6 +72,7 @@ def test_a_task_that_keeps_its_contract_passes(task):
         (Forgetful(), "Forgetful has a privileged_space; write `privileged`, too"),
         (Named(), r"observe is a tree .* where observation_space says .*'seen'"),
         (Pair(), "step gives tuple; give a Transition"),
+        (Renamed(), "Renamed: metrics has cvar, length, which every task has; rename it"),
         (Median(), r"metrics has \['median'\]; a metric is one of .*'mean'"),
         (
             Changed(reward=lambda after: jnp.int32(1)),

@@ -602,7 +602,7 @@ def test_a_study_knows_what_its_replays_take(monkeypatch):
     apex = find_study("fig14", "smoke").run
     task, world = apex.task.make()
     asked = []
-    monkeypatch.setattr("pecjax.training.program.check_memory", lambda needed, devices: asked.append(needed))
+    monkeypatch.setattr("pecjax.training.program.check_memory", lambda needed, *_: asked.append(needed))
     for runs in (1, 4):
         several_runs(apex, task, world, runs)
     agent = apex.agent.make(task, pec(20))

@@ -422,7 +422,7 @@ def test_a_run_of_apex_leaves_the_same_files_and_its_policy_can_be_had(
     assert flights.success.mean() == summary["uniform_evaluation"]["goal_ratio"]
     # A policy is flown without its replay, however large: only a training needs room for it.
     monkeypatch.setattr(devices.os, "sysconf", lambda name: 1)
-    with pytest.raises(pecjax.InputError, match="the replay takes"):
+    with pytest.raises(pecjax.InputError, match="the transitions of the replay take"):
         training.resume(override(settings, iterations=9), folder)
     for mine, theirs in zip(*map(jax.tree.leaves, (open_run(folder).learner, trained.learner)), strict=True):
         np.testing.assert_array_equal(mine, theirs)
@@ -478,6 +478,8 @@ def test_cores_are_counted_on_systems_that_tell_less(monkeypatch):
 def test_a_replay_that_cannot_fit_is_refused_before_anything_is_written(folders):
     huge = replace(PRESETS["apex-fast"].agent, replay=ReplaySettings(capacity=2**36))
     settings = replace(PRESETS["apex-fast"], agent=huge)
-    with pytest.raises(pecjax.InputError, match=r"the replay takes \d+\.\d GB and there are"):
+    with pytest.raises(
+        pecjax.InputError, match=r"the transitions of the replay take \d+\.\d GB and there are"
+    ):
         training.train(settings, folders / "huge")
     assert not (folders / "huge").exists()

@@ -96,7 +96,7 @@ def with_bootstrap(rewards: jax.Array, bootstrap: jax.Array | None, discount: fl
 
         r_t + γ V(s_{t+1})
 
-    After that the cut is an ending like any other: the estimates below are then those that bootstrap
+    After that the cut is an ending like any other: the estimates of this file are then those that bootstrap
     from the state that the episode was cut off in (Pardo et al. 2018, "Time limits in RL", Eq. 6).
 
     Args:

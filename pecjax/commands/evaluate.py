@@ -100,7 +100,8 @@ def _print_line(name: str, figures: dict[str, Any], period: float | None) -> Non
 
     print(
         f"  {name:32} {figures['episodes']:8} {figures['goal_ratio']:8.3f} [{low:.3f}, {high:.3f}] "
-        f"{number('spl'):>6} {number('cvar'):>6} {time:>7} {number('collision'):>6} {number('timeout'):>6}"
+        f"{number('spl'):>6} {number('unbiased_cvar'):>6} {time:>7} {number('collision'):>6} "
+        f"{number('timeout'):>6}"
     )
 
 

@@ -105,17 +105,19 @@ class Study:
 
     def _run_benchmark(self, members: Sequence[str], folder: Path) -> None:
         """The benchmark's studies, one after another, and their report."""
-        diverged = None
+        diverged: list[str] = []
         for name in members:
             cell = folder / benchmark.cell(name)
             try:
                 run_study(dataclasses.replace(self, name=name)._settings(cell), cell, self._notice(cell))
             except DivergedError as error:
-                diverged = error
+                diverged.append(str(error))
             importlib.import_module("pecjax.studies.shares").write_shares(cell)
-        print(_benchmark_report(folder))
+        cells = (StudyDirectory(folder / benchmark.cell(name)) for name in members)
+        if any(cell.has_rows() for cell in cells):
+            print(_benchmark_report(folder))
         if diverged:
-            raise diverged
+            raise DivergedError("; ".join(diverged))
 
     def _run_study(self, folder: Path) -> None:
         notice = self._notice(folder)

@@ -26,8 +26,8 @@ class Train:
     """Trains a drone and writes a run folder with its figures.
 
     Attributes:
-        preset: the settings to start from: fast, rllib085 (the paper's own) or image (64×48) for
-            ppo, apex-fast or apex-rllib085 for apex. (default: fast or apex-fast)
+        preset: the settings to start from: fast, rllib085 (the paper's own), image (64×48) or gpu
+            for ppo, apex-fast or apex-rllib085 for apex. (default: fast or apex-fast)
         agent: the learner: ppo, apex, or one of your own as my.module:Class. (default: the preset's)
         task: what is learned: rooms, or one of your own as my.module:Class. (default: rooms)
         sampler: how the next configuration is chosen: pec, uniform, table_top or another of

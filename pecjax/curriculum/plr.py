@@ -99,7 +99,8 @@ def plr(
 
     Raises:
         InputError: fewer than one configuration, more than `MOST_RANKED` by rank, no such score, or a
-            number out of its range; at an update, outcomes without a signal, or by `max_mc` without an episode return.
+            number out of its range; at an update, outcomes without a signal, or by `max_mc` without an
+            episode return.
     """
     check_number("replay", replay, 0, 1)
     check_number("staleness", staleness, 0, 1)

@@ -58,4 +58,6 @@ def table_top(
         top = best_share(gain_of_retries(a / (a + b), numbers["tries"]), numbers["best"])
         return numbers["mass"] * top + (1 - numbers["mass"]) / num_configs
 
-    return from_memory(num_configs, {"tries": tries, "half_life": half_life, "best": best, "mass": mass}, weight)
+    return from_memory(
+        num_configs, {"tries": tries, "half_life": half_life, "best": best, "mass": mass}, weight
+    )

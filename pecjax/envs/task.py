@@ -55,7 +55,8 @@ class EvalSet(NamedTuple):
     """The configurations that policies are compared in, apart from those they are trained in.
 
     Attributes:
-        table: a table like the world's, E configurations.
+        table: a table like the world's, E configurations; the world's own where policies are compared in
+            what they are trained in.
         groups: names of the groups that are reported apart; with one there is nothing to report apart.
         group_id: (E,) int, the group of each configuration; None where there is one group.
         shortest: (E,) m, the length of the shortest path that succeeds; None where it is not known.

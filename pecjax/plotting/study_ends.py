@@ -167,7 +167,7 @@ def alphas(runs: pd.DataFrame) -> Figure:
             for column, words in lines.items():
                 look = style_of(place) | {"label": f"{sampler}: {words}"}
                 beside = 0.02 * np.ptp(values) * (1 + place % 2)
-                _by_alpha(axes, rows, column, look, beside)
+                _by_alpha(axes, known, rows, column, look, beside)
                 place += 1
         if len(values) <= MOST_TICKS:
             axes.set_xticks(values)
@@ -181,9 +181,15 @@ def alphas(runs: pd.DataFrame) -> Figure:
     return figure
 
 
-def _by_alpha(axes: Axes, rows: pd.DataFrame, column: str, look: dict[str, Any], beside: float) -> None:
-    """A line with bars over the seeds, and the runs as points that far to the right of their α."""
-    found = {alpha: band_of(rows, x.to_numpy()) for alpha, x in rows.groupby("alpha")[column]}
+def _by_alpha(
+    axes: Axes, drawn: pd.DataFrame, rows: pd.DataFrame, column: str, look: dict[str, Any], beside: float
+) -> None:
+    """A line with bars over the seeds, and the runs as points that far to the right of their α.
+
+    Args:
+        drawn: all rows of the figure, which say what bars are; `rows` are those of the line.
+    """
+    found = {alpha: band_of(drawn, x.to_numpy()) for alpha, x in rows.groupby("alpha")[column]}
     value, low, high = np.array(list(found.values())).T
     error = np.clip(np.nan_to_num([value - low, high - value]), 0, None)
     axes.errorbar(np.array(list(found), float), value, error, **look)

@@ -94,11 +94,12 @@ def advice_on_idle_devices(num_envs: int, device_divisor: int, divided: str, num
     return f"; --num-envs {' or '.join(near)} would use all of them"
 
 
-def check_memory(needed: int, num_devices: int, what: str = "the replay takes") -> None:
+def check_memory(needed: int, num_devices: int, what: str, advice: str) -> None:
     """Makes sure that so many bytes, spread over devices, can be had at all.
 
     Args:
         what: takes them, for the message.
+        advice: how to need fewer.
 
     Raises:
         InputError: they cannot.
@@ -108,6 +109,5 @@ def check_memory(needed: int, num_devices: int, what: str = "the replay takes") 
     there = there or os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if needed > there:
         raise InputError(
-            f"{what} {needed / 1e9:.1f} GB and there are {there / 1e9:.1f} GB of memory; "
-            "keep fewer or smaller images"
+            f"{what} take {needed / 1e9:.1f} GB and there are {there / 1e9:.1f} GB of memory; {advice}"
         )

@@ -79,11 +79,11 @@ def primary_only(write: Callable[..., None]) -> Callable[..., None]:
     """Makes only the primary process run a function: all processes share one folder."""
 
     @functools.wraps(write)
-    def write_if_lead(*args: Any, **kwargs: Any) -> None:
+    def write_if_primary(*args: Any, **kwargs: Any) -> None:
         if is_primary():
             write(*args, **kwargs)
 
-    return write_if_lead
+    return write_if_primary
 
 
 @contextlib.contextmanager

@@ -72,6 +72,16 @@ def write_arrays(path: Path, tree: Any, about: dict[str, Any] | None = None) -> 
         raise
 
 
+def by_iteration(folder: Path, iteration: int) -> Path:
+    """Where a folder keeps the arrays of an iteration."""
+    return folder / f"{iteration}.npz"
+
+
+def iterations_in(folder: Path) -> list[int]:
+    """The iterations that a folder keeps arrays of, rising."""
+    return sorted(int(path.stem) for path in folder.glob("*.npz") if path.stem.isdigit())
+
+
 def read_arrays(
     path: Path,
     like: Any,
@@ -174,7 +184,10 @@ def _check(path: Path, file: zipfile.ZipFile, differing: list[str], says: str) -
     if file.testzip() is not None:  # a checksum is wrong; reads piece by piece
         raise zipfile.BadZipFile("a checksum is wrong")
     more = f" and {len(differing) - 3} more" if len(differing) > 3 else ""
-    raise InputError(f"{path}: {says} {', '.join(differing[:3])}{more}")
+    raise InputError(
+        f"{path}: {says} {', '.join(differing[:3])}{more}; restore the run's files, or train anew in another "
+        "folder"
+    )
 
 
 def _is_key(leaf: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Plain files: how tables, settings, maps and coordinates are put on disk."""
+"""Plain files: rows and settings as text, put on disk whole or not at all, by one process at a time."""
 
 from __future__ import annotations
 
@@ -100,8 +100,12 @@ def read_settings(path: Path, kind: type[Settings], what: str, today: Callable[[
 def replace_file(path: Path, content: str | bytes) -> None:
     """Puts a whole file in place of another: whoever reads sees the old or the new one."""
     new = path.with_name(f".{path.name}.new")
-    new.write_bytes(content.encode() if isinstance(content, str) else content)
-    os.replace(new, path)
+    try:
+        new.write_bytes(content.encode() if isinstance(content, str) else content)
+        os.replace(new, path)
+    except OSError:
+        new.unlink(missing_ok=True)  # on a full disk it would take the room that is wanted
+        raise
 
 
 @contextlib.contextmanager

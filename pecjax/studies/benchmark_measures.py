@@ -36,11 +36,14 @@ def steps_measures(cell: Cell) -> list[str]:
 def read_cells(folder: Path) -> dict[str, pd.DataFrame]:
     """The results of each cell that the folder has, `CELL/results.csv`, with a column `condition`.
 
+    A cell whose runs all diverged has no rows, and is left out.
+
     Raises:
         InputError: there is none, or one that is not such a table.
     """
     paths = {name: folder / name / "results.csv" for name in CELLS}
-    found = {name: read_table(path, _COLUMNS) for name, path in paths.items() if path.is_file()}
+    there = {name: path for name, path in paths.items() if path.is_file() and path.read_text().strip()}
+    found = {name: read_table(path, _COLUMNS) for name, path in there.items()}
     if not found:
         missing = f"neither study.json nor CELL/results.csv of {', '.join(CELLS)}"
         raise InputError(f"{folder}: {missing}; give the folder of a study or of the benchmark")

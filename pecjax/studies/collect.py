@@ -21,15 +21,15 @@ class Collected(Sink):
         diverged: by place, those whose figures are no longer finite, in words.
     """
 
-    def __init__(self, heads: Sequence[Row], held_out: bool = False) -> None:
+    def __init__(self, heads: Sequence[Row], elsewhere: bool = False) -> None:
         """Begins with nothing.
 
         Args:
             heads: the columns that say which run a row is of.
-            held_out: whether evaluations are of other configurations than those that are trained in, whose
+            elsewhere: whether evaluations are of other configurations than those that are trained in, whose
                 goal ratios are then unknown (NaN).
         """
-        self._heads, self._held_out = heads, held_out
+        self._heads, self._elsewhere = heads, elsewhere
         self.names = [", ".join(f"{k} {v}" for k, v in head.items() if v is not None) for head in heads]
         self.diverged: dict[int, str] = {}
         self._tables: dict[str, list[list[Row]]] = {
@@ -69,7 +69,7 @@ class Collected(Sink):
                 unknown = np.full(len(of_run["trials"]), np.nan)
                 of_run["goal_ratio"] = (
                     unknown
-                    if self._held_out
+                    if self._elsewhere
                     else success_by_config(flown["config_id"], flown["success"], unknown.size)
                 )
 

@@ -79,11 +79,13 @@ def mean_relative(groups: Sequence[tuple[np.ndarray, np.ndarray]]) -> Interval:
     The 95 % interval is by Student's t, with degrees of freedom for unequal variances (Satterthwaite 1946).
 
     Args:
-        groups: ours and theirs, (P,) positive numbers of each, two at least and not all of one ratio.
+        groups: ours and theirs, (P,) positive numbers of each, two at least.
     """
     logs = [np.log(np.asarray(ours, float) / np.asarray(theirs, float)) for ours, theirs in groups]
     mean = float(np.mean([of.mean() for of in logs]))
     variances = np.array([of.var(ddof=1) / len(of) for of in logs])
+    if not variances.any():
+        return Interval(*[float(np.expm1(mean))] * 3)
     freedom = variances.sum() ** 2 / (variances**2 / [len(of) - 1 for of in logs]).sum()
     low, high = stats.t.interval(CONFIDENCE, freedom, mean, np.sqrt(variances.sum()) / len(logs))
     return Interval(*(float(np.expm1(log)) for log in (mean, low, high)))

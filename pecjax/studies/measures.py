@@ -131,7 +131,7 @@ def _comparable(runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
     """The runs by coordinates, and by the learner's settings where more than one sampler has each."""
     shared = [name for name in varied_columns(runs) if not name.startswith("sampler.")]
     for coordinates, rows in runs.groupby("coordinates", sort=False):
-        blocks = [block for _, block in rows.groupby(shared, sort=False)] if shared else [rows]
+        blocks = [block for _, block in rows.groupby(shared, sort=False, dropna=False)] if shared else [rows]
         alone = all(block.condition.nunique() == 1 for block in blocks)
         for block in [rows] if alone else blocks:
             yield str(coordinates), block

@@ -18,6 +18,10 @@ from pecjax.training.contracts import check_contracts
 from pecjax.training.settings import RunSettings, check_settings
 
 Tree = TypeVar("Tree")
+REPLAY = (
+    "the transitions of the replay",
+    "take a smaller --agent.replay.capacity, or smaller images",
+)  # for `check_memory`
 
 
 class Run(NamedTuple):
@@ -59,20 +63,23 @@ def build(settings: RunSettings, num_devices: int, *, trains: bool = True) -> Ru
     mesh = device_mesh(num_devices)
     agent = settings.agent.make(task, sampler, AXIS)
     if trains:
-        check_memory(agent.replay_bytes, num_devices)
+        check_memory(agent.replay_bytes, num_devices, *REPLAY)
         held = observation_bytes(task, settings.agent.observations_held)
-        check_memory(held, num_devices, "the observations of an iteration take")
-        check_memory(settings.agent.memory_bytes, num_devices, "the memories of an iteration take")
+        fewer = "take fewer environments or steps"
+        check_memory(held, num_devices, "the observations of an iteration", f"{fewer}, or smaller images")
+        memories = settings.agent.memory_bytes
+        check_memory(memories, num_devices, "the memories of an iteration", f"{fewer}, or a smaller memory")
     eval_set = settings.task.eval_set(world)
-    world = everywhere(world, mesh)
-    return Run(
-        task, world, sampler, shard(agent, mesh), mesh, eval_set, for_evaluation(world, eval_set, mesh)
-    )
+    world, eval_world = on_devices(world, eval_set, mesh)
+    return Run(task, world, sampler, shard(agent, mesh), mesh, eval_set, eval_world)
 
 
-def for_evaluation(world: World, eval_set: EvalSet, mesh: Mesh) -> World:
-    """The world, which is on the mesh, with the configurations of an evaluation."""
-    return world._replace(table=everywhere(eval_set.table, mesh)) if eval_set.held_out else world
+def on_devices(world: World, eval_set: EvalSet, mesh: Mesh) -> tuple[World, World]:
+    """The world, and the same with the configurations of an evaluation, on every device of the mesh."""
+    there = everywhere(world, mesh)
+    if eval_set.table is world.table:
+        return there, there
+    return there, there._replace(table=everywhere(eval_set.table, mesh))
 
 
 def everywhere(tree: Tree, mesh: Mesh) -> Tree:

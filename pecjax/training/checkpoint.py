@@ -10,30 +10,28 @@ import numpy as np
 from pecjax.agents import TrainState
 from pecjax.errors import InputError
 from pecjax.runtime.distributed import primary_only
-from pecjax.storage.arrays import CorruptFileError, read_arrays, write_arrays
+from pecjax.storage.arrays import CorruptFileError, by_iteration, iterations_in, read_arrays, write_arrays
 
 KEPT_STATES = 2  # the newest, and one to fall back on
 
 
 class ResumeState(NamedTuple):
-    """Where a training stands: all that it needs to resume as if it had never stopped.
+    """Where a training stands: all that it needs, beside its tables, to resume as if it had never stopped.
 
     Attributes:
         state: of environments, sampler and learner.
         iteration: how many iterations are done.
-        patience_count: iterations in a row at or above the goal ratio to stop at.
         seconds: spent so far, compilation apart.
     """
 
     state: TrainState
     iteration: np.ndarray
-    patience_count: np.ndarray
     seconds: np.ndarray
 
     @classmethod
-    def make(cls, state: TrainState, iteration: int, patience_count: int, seconds: float) -> ResumeState:
+    def make(cls, state: TrainState, iteration: int, seconds: float) -> ResumeState:
         """The same with its numbers as arrays."""
-        return cls(state, np.array(iteration), np.array(patience_count), np.array(seconds))
+        return cls(state, np.array(iteration), np.array(seconds))
 
 
 class Checkpoints:
@@ -55,31 +53,31 @@ class Checkpoints:
 
     def save_learner(self, iteration: int, learner: Any) -> None:
         """Keeps the learner after `iteration` iterations."""
-        write_arrays(_path(self._learners, iteration), learner)
+        write_arrays(by_iteration(self._learners, iteration), learner)
 
     def save_state(self, state: ResumeState) -> None:
         """Keeps a state to resume from, and removes what is older than the one before."""
-        write_arrays(_path(self._states, int(state.iteration)), state, self._about)
+        write_arrays(by_iteration(self._states, int(state.iteration)), state, self._about)
         self._prune()
 
     @primary_only
     def _prune(self) -> None:
-        for iteration in _iterations(self._states)[:-KEPT_STATES]:
-            _path(self._states, iteration).unlink()
+        for iteration in iterations_in(self._states)[:-KEPT_STATES]:
+            by_iteration(self._states, iteration).unlink()
 
     @primary_only
     def forget_after(self, iteration: int, every: int) -> None:
-        """Removes learners that a run of which `iteration` iterations are done would not have."""
-        for there in _iterations(self._learners):
+        """Removes learners and states that a run of which `iteration` iterations are done would not have."""
+        for there in iterations_in(self._learners):
             if there > iteration or there % every:
-                _path(self._learners, there).unlink()
-        for there in _iterations(self._states):
+                by_iteration(self._learners, there).unlink()
+        for there in iterations_in(self._states):
             if there > iteration:
-                _path(self._states, there).unlink()
+                by_iteration(self._states, there).unlink()
 
     def iterations(self) -> list[int]:
         """The iterations at which a learner was kept, rising."""
-        return _iterations(self._learners)
+        return iterations_in(self._learners)
 
     def load_learner(self, like: Any, iteration: int | None = None) -> tuple[int, Any]:
         """A kept learner, the newest when `iteration` is None.
@@ -98,7 +96,7 @@ class Checkpoints:
             raise InputError(f"{self._learners}: no checkpoint {iteration}; there are {listed}")
         iteration = there[-1] if iteration is None else iteration
         try:
-            return iteration, read_arrays(_path(self._learners, iteration), like)
+            return iteration, read_arrays(by_iteration(self._learners, iteration), like)
         except CorruptFileError as error:
             raise InputError(f"{error}; choose another with --checkpoint") from error
 
@@ -109,19 +107,11 @@ class Checkpoints:
             InputError: there is none, or it is of other settings.
         """
         warnings = []
-        for iteration in reversed(_iterations(self._states)):
+        for iteration in reversed(iterations_in(self._states)):
             try:
-                path = _path(self._states, iteration)
+                path = by_iteration(self._states, iteration)
                 return read_arrays(path, like, self._about), warnings
             except CorruptFileError as error:
                 warnings.append(f"{error}; falling back to the previous checkpoint")
         reason = "; ".join(warnings) or "no state to resume from"
         raise InputError(f"{self._states}: {reason}; train anew in another folder")
-
-
-def _path(folder: Path, iteration: int) -> Path:
-    return folder / f"{iteration}.npz"
-
-
-def _iterations(folder: Path) -> list[int]:
-    return sorted(int(path.stem) for path in folder.glob("*.npz") if path.stem.isdigit())

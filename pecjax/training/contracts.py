@@ -19,6 +19,12 @@ from pecjax.errors import InputError
 from pecjax.settings_tree import address
 from pecjax.training.settings import RunSettings
 
+# What tables and files of flights have of every task; a metric of that name would take its place.
+_TAKEN = {
+    *("iteration", "env_steps", "seconds", "episodes", "goal_ratio", "training_goal_ratio", "cvar"),
+    *("unbiased_cvar", "spl", "mean_return", "mean_length", "return", "length", "success", "interval"),
+    *("steps_to_goal", "config_id", "recorded", "poses", "actions"),
+}
 _BATCH = 3  # outcomes and draws that a sampler is tried with
 
 
@@ -59,6 +65,8 @@ def check_task(task: Task, world: World) -> None:
         raise InputError(
             f"{name}: metrics has {sorted(map(str, unknown))}; a metric is one of {get_args(Reduction)}"
         )
+    if taken := _TAKEN & set(task.metrics):
+        raise InputError(f"{name}: metrics has {', '.join(sorted(taken))}, which every task has; rename it")
     key = jax.eval_shape(lambda: jax.random.key(0))
     state, transition, obs = jax.eval_shape(functools.partial(_first_step, task), key, world)
     _expect(f"{name}: observe", obs, _as_arrays(task.observation_space), "observation_space", types=False)

@@ -56,7 +56,7 @@ def make_evaluator(
 ) -> Callable[[Any, World], Callable[[Any, World], EvalResult]]:
     """Sets E episodes, an even draw, shared by the mesh's devices.
 
-    Its `compile` takes a learner (arrays or their shapes) and a world, and returns
+    What it returns takes a learner (arrays or their shapes) and a world, and compiles
     evaluate(learner, world) -> `EvalResult` of numpy arrays; another world of the same shapes compiles
     nothing.
 

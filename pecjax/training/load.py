@@ -15,7 +15,7 @@ from pecjax.training.demos import find_run
 from pecjax.training.program import compile_evaluator
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.run_episodes import EvalResult
-from pecjax.training.settings import RunSettings
+from pecjax.training.settings import RunSettings, check_settings
 
 
 class Trained(NamedTuple):
@@ -46,7 +46,7 @@ class Trained(NamedTuple):
         Raises:
             InputError: its configurations have objectives that the policy was not trained with.
         """
-        eval_set = eval_set._replace(table=self.run.task.fitted(eval_set.table), held_out=True)
+        eval_set = eval_set._replace(table=self.run.task.fitted(eval_set.table))
         there = everywhere(world._replace(table=eval_set.table), self.run.mesh)
         return self._replace(run=self.run._replace(eval_set=eval_set, eval_world=there))
 

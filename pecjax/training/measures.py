@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from pecjax.envs.task import EvalSet
-from pecjax.training.run_episodes import EvalResult, success_by_config
+from pecjax.training.run_episodes import EvalResult, in_order, success_by_config
 
 WORST = 0.1  # the share of the flown configurations that CVaR averages
 PATH_LENGTH = "path_length"  # the metric of a task whose paths have a length, m
@@ -41,15 +41,13 @@ def unbiased_cvar(config_id: np.ndarray, success: np.ndarray, num_configs: int) 
     Args:
         config_id, success: (E,), of each episode.
     """
-    order = np.argsort(config_id, kind="stable")
-    ids = config_id[order]
-    place = np.arange(len(ids)) - np.searchsorted(ids, ids)
+    order, place = in_order(config_id)
     halves = []
     for half in (0, 1):
         of = order[place % 2 == half]
         halves.append(success_by_config(config_id[of], success[of], num_configs))
     both = np.isfinite(halves).all(axis=0)
-    if not both.any() or not np.array_equal(np.unique(ids), np.flatnonzero(both)):
+    if not both.any() or not np.array_equal(np.unique(config_id), np.flatnonzero(both)):
         return None
     number = max(1, round(WORST * int(both.sum())))
     figures = []
@@ -106,7 +104,7 @@ def figures_of(result: EvalResult, about: EvalSet, num_configs: int) -> dict[str
         "goal_ratio": successes / episodes,
         "interval": list(wilson(successes, episodes)),
         "spl": spl(result, about),
-        "cvar": unbiased_cvar(result.config_id, result.success, num_configs),
+        "unbiased_cvar": unbiased_cvar(result.config_id, result.success, num_configs),
         "steps_to_goal": float(result.lengths[result.success].mean()) if successes else None,
         "mean_return": float(result.returns.mean()),
         **metrics,

@@ -15,7 +15,7 @@ from jax.sharding import PartitionSpec
 from pecjax.agents import AXIS, Metrics, TrainState, device_mesh
 from pecjax.envs.task import EvalSet, Task, World, num_configs
 from pecjax.runtime.devices import check_memory, choose_num_devices, compiler_options
-from pecjax.training.build import Run, abstract_state, everywhere, for_evaluation, observation_bytes
+from pecjax.training.build import REPLAY, Run, abstract_state, observation_bytes, on_devices
 from pecjax.training.contracts import check_contracts
 from pecjax.training.evaluation import make_episode_runner, make_evaluator, stratified_config_ids
 from pecjax.training.run_episodes import SIDE_BY_SIDE, EvalResult
@@ -118,10 +118,12 @@ def compile_evaluator(run: Run, settings: RunSettings, learner: Any) -> Callable
         InputError: more episodes than memory holds the observations or the recordings of.
     """
     about, devices = settings.evaluation, run.mesh.devices.size
+    fewer = "take fewer --evaluation.episodes"
     seen = observation_bytes(run.task, min(about.episodes, SIDE_BY_SIDE * devices))
-    check_memory(seen, devices, "the observations of an evaluation take")
-    recorded = RECORDED_BYTES * (run.task.max_steps + 1) * about.episodes
-    check_memory(recorded, devices, "the recordings of an evaluation take")
+    check_memory(seen, devices, "the observations of an evaluation", f"{fewer}, or smaller images")
+    if type(run.task).pose is not Task.pose:  # else nothing is recorded
+        recorded = RECORDED_BYTES * (run.task.max_steps + 1) * about.episodes
+        check_memory(recorded, devices, "the recordings of an evaluation", fewer)
     return make_evaluator(
         run.task, run.agent, run.mesh, episodes=about.episodes, greedy=about.greedy, seed=about.seed
     )(learner, run.eval_world)
@@ -155,11 +157,10 @@ def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> 
     sampler = settings.sampler.make(num_configs(world.table))
     check_contracts(settings, task, world, sampler)
     agent = settings.agent.make(task, sampler)
-    check_memory(agent.replay_bytes * runs, devices)
-    world, about = everywhere(world, mesh), settings.evaluation
+    check_memory(agent.replay_bytes * runs, devices, *REPLAY)
+    eval_set, about = settings.task.eval_set(world), settings.evaluation
     run = make_episode_runner(task, agent, greedy=about.greedy, seed=about.seed)
-    eval_set = settings.task.eval_set(world)
-    eval_world = for_evaluation(world, eval_set, mesh)
+    world, eval_world = on_devices(world, eval_set, mesh)
     config_id = stratified_config_ids(num_configs(eval_set.table), about.episodes, about.seed)
 
     def init(world: World, seed: jax.Array, numbers: dict[str, jax.Array]) -> TrainState:

@@ -10,7 +10,7 @@ from pecjax.agents import Metrics
 from pecjax.envs.task import EvalSet, num_configs
 from pecjax.storage.files import Row
 from pecjax.training.measures import by_group, cvar, spl
-from pecjax.training.run_episodes import EvalResult, success_by_config
+from pecjax.training.run_episodes import EvalResult, in_order, success_by_config
 
 RECORDED = 2  # episodes of each configuration whose poses and actions are kept
 MOST_RECORDED = 100
@@ -94,9 +94,7 @@ def recording_arrays(result: EvalResult, chosen: np.ndarray | None = None) -> di
 
 def _some_of_each(config_id: np.ndarray) -> np.ndarray:
     """Episodes by configuration, the first few of each."""
-    order = np.argsort(config_id, kind="stable")
-    ids = config_id[order]
-    place = np.arange(len(ids)) - np.searchsorted(ids, ids)
+    order, place = in_order(config_id)
     chosen = order[place < RECORDED]
     # Of many, some of all: the configurations may be in an order.
     return chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), MOST_RECORDED)).astype(int)]

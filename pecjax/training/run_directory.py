@@ -17,7 +17,7 @@ from pecjax.errors import InputError
 from pecjax.runtime.distributed import primary_only
 from pecjax.runtime.provenance import FACTS, session_facts
 from pecjax.storage import files
-from pecjax.storage.arrays import read_plain_arrays, write_arrays
+from pecjax.storage.arrays import by_iteration, iterations_in, read_plain_arrays, write_arrays
 from pecjax.training import former_versions
 from pecjax.training.settings import RunSettings
 
@@ -113,7 +113,7 @@ class RunDirectory:
 
     @primary_only
     def remove(self, *names: str) -> None:
-        """Removes files that the end of a run has written."""
+        """Removes files of the run, those that are there."""
         for name in names:
             (self.folder / name).unlink(missing_ok=True)
 
@@ -123,7 +123,7 @@ class RunDirectory:
         files.replace_file(self.folder / name, files.json_text(content))
 
     def arrays(self, name: str, iteration: int) -> dict[str, np.ndarray]:
-        """What `write` has kept of that name and iteration.
+        """What `write_arrays` has kept of that name and iteration.
 
         Raises:
             InputError: there is none, or it is corrupt.
@@ -132,7 +132,7 @@ class RunDirectory:
 
     def iterations(self, name: str) -> list[int]:
         """The iterations at which arrays of that name were kept, rising."""
-        return sorted(int(path.stem) for path in (self.folder / name).glob("*.npz") if path.stem.isdigit())
+        return iterations_in(self.folder / name)
 
     @primary_only
     def write_arrays(self, name: str, iteration: int, arrays: dict[str, Any]) -> None:
@@ -147,7 +147,7 @@ class RunDirectory:
                 self._array_path(name, iteration).unlink()
 
     def _array_path(self, name: str, iteration: int) -> Path:
-        return self.folder / name / f"{iteration}.npz"
+        return by_iteration(self.folder / name, iteration)
 
     @primary_only
     def record(

@@ -158,6 +158,13 @@ def _start_recording(task: Task, start: Any, actions: Any) -> tuple[jax.Array, j
     return poses, jnp.zeros((number, task.max_steps, *shape), actions.dtype)
 
 
+def in_order(config_id: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The episodes (E,) by configuration, and how many of its configuration come before each of them."""
+    order = np.argsort(config_id, kind="stable")
+    ids = config_id[order]
+    return order, np.arange(len(ids)) - np.searchsorted(ids, ids)
+
+
 def success_by_config(config_id: np.ndarray, success: np.ndarray, num_configs: int) -> np.ndarray:
     """Share of successes (N,) of each configuration, NaN where it had no episode (E,)."""
     episodes = np.bincount(config_id, minlength=num_configs)

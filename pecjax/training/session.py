@@ -6,6 +6,7 @@ import dataclasses
 from typing import NamedTuple
 
 from pecjax.errors import InputError
+from pecjax.runtime.distributed import primary_only
 from pecjax.training.build import Run, abstract_state
 from pecjax.training.checkpoint import Checkpoints, ResumeState
 from pecjax.training.loop import Clock, Position, is_counted, is_evaluated, streak
@@ -42,7 +43,7 @@ def resumed(session: Session) -> tuple[Position, Iterate]:
     settings, run, directory, progress, clock = session
     folder, stop = directory.folder, settings.stop
     checkpoints = Checkpoints(folder, directory.identity())
-    there, warnings = checkpoints.load_state(ResumeState.make(abstract_state(run), 0, 0, 0.0))
+    there, warnings = checkpoints.load_state(ResumeState.make(abstract_state(run), 0, 0.0))
     for line in warnings:
         progress.say(line)
     done = int(there.iteration)
@@ -72,12 +73,18 @@ def settings_as_started(session: Session) -> RunSettings:
     return dataclasses.replace(session.settings, task=session.directory.settings().task)
 
 
+@primary_only  # another process could look for the file when it is gone
+def _remove_recording(directory: RunDirectory, done: int) -> None:
+    """Only the last evaluation of a run keeps its recording."""
+    if done in directory.iterations("episodes"):
+        kept = directory.arrays("episodes", done)
+        directory.write_arrays("episodes", done, {n: kept[n] for n in kept if n not in RECORDING_ARRAYS})
+
+
 def _roll_back(session: Session, done: int) -> None:
     """Removes what a run of which so many iterations are done would not have."""
     settings, directory, progress = session.settings, session.directory, session.progress
-    if done in directory.iterations("episodes"):  # only the last evaluation of a run keeps its recording
-        kept = directory.arrays("episodes", done)
-        directory.write_arrays("episodes", done, {n: kept[n] for n in kept if n not in RECORDING_ARRAYS})
+    _remove_recording(directory, done)
     directory.remove("summary.json")
     evaluated, counted = (
         lambda row, due=due: row <= done and due(settings, row) for due in (is_evaluated, is_counted)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import signal
 from collections.abc import Sequence
 from pathlib import Path
@@ -176,7 +177,7 @@ def _loop(
         if standing.finished:
             summary.update(summarize(settings, standing, clock))
             directory.write_json("summary.json", summary)
-        checkpoints.save_state(ResumeState.make(*there, clock.seconds()))
+        checkpoints.save_state(ResumeState.make(there.state, there.iteration, clock.seconds()))
         saved = there.iteration
 
     def is_asked() -> bool:
@@ -205,7 +206,7 @@ def summarize(settings: RunSettings, ending: Ending, clock: Clock) -> dict[str, 
         "seconds": round(seconds, 2),
         "compile_seconds": round(clock.compile_seconds, 2),
         "steps_per_second": round(row["env_steps"] / seconds, 1),
-        "training_goal_ratio": row["goal_ratio"],
+        "training_goal_ratio": None if math.isnan(row["goal_ratio"]) else row["goal_ratio"],
         "uniform_evaluation": {
             "episodes": settings.evaluation.episodes,
             "greedy": settings.evaluation.greedy,

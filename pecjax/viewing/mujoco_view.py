@@ -123,7 +123,10 @@ def _add_trail(scene: mujoco.MjvScene, flight: Flight, step: int) -> None:
 
 def _with_inset(frame: np.ndarray, depth: np.ndarray, far: float) -> np.ndarray:
     """The frame with the depth image in its upper right corner; what is near is bright."""
-    factor = max(INSET // depth.shape[1], 1)
+    tallest = frame.shape[0] - 20
+    apart = max(-(-depth.shape[1] // INSET), -(-depth.shape[0] // tallest))
+    depth = depth[::apart, ::apart]  # of an image larger than the corner
+    factor = min(INSET // depth.shape[1], tallest // depth.shape[0])
     image = np.kron(255 * (1 - depth / far), np.ones((factor, factor))).astype(np.uint8)
     height, width = image.shape
     frame = frame.copy()

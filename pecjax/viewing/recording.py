@@ -10,9 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pecjax.envs.rooms.config import Configurations
-from pecjax.envs.rooms.map_file import ENDLESS, Map
-from pecjax.envs.rooms.maps import FAR_AWAY, MapBank
+from pecjax.envs.rooms.config import Configurations, leads_to_waypoint
+from pecjax.envs.rooms.map_file import ENDLESS, Map, map_of
 from pecjax.envs.rooms.task import RoomsTask
 from pecjax.envs.task import Task, World, take_configs
 from pecjax.errors import InputError
@@ -130,13 +129,12 @@ def _flight(
     poses = poses[: length + 1]
     config_id = int(arrays["config_id"][episode])
     config = jax.tree.map(np.asarray, take_configs(world.table, config_id))
-    passes = config.waypoint is not None and bool(np.any(config.waypoint))
     return Flight(
         config_id,
         int(config.map_id),
         str(ending[episode]),
         config.goal,
-        config.waypoint if passes else None,
+        config.waypoint if leads_to_waypoint(config) else None,
         poses,
         commands[actions[:length]],
         camera(config, poses),
@@ -160,14 +158,6 @@ def _camera(task: RoomsTask, world: World) -> Camera:
         return np.concatenate(parts)[: len(poses)]
 
     return images
-
-
-def map_of(bank: MapBank, number: int) -> Map:
-    """One map of a bank, without the boxes that only fill it up."""
-    lower, upper, bounds = (np.asarray(leaf)[number] for leaf in bank)
-    real = lower[:, 0] < FAR_AWAY
-    names = tuple(f"wall {wall}" for wall in range(int(real.sum())))
-    return Map(lower[real], upper[real], bounds, names)
 
 
 def drawn_walls(about: Map) -> tuple[np.ndarray, np.ndarray]:

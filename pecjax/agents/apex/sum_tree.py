@@ -41,16 +41,7 @@ def set_leaves(tree: jax.Array, leaves: jax.Array, priorities: jax.Array) -> jax
         nodes = nodes // 2
         return tree.at[nodes].set(tree[2 * nodes] + tree[2 * nodes + 1]), nodes
 
-    return jax.lax.fori_loop(0, _depth(tree), up, (tree.at[nodes].set(priorities), nodes))[0]
-
-
-def find(tree: jax.Array, mass: jax.Array) -> jax.Array:
-    """The leaves (M,) at which the running sum of priorities first exceeds mass (M,) of [0, total).
-
-    A leaf of priority 0 is never found while there is another.
-    """
-    nodes, _ = _descend(tree, jnp.ones(mass.shape, jnp.int32), mass, _depth(tree))
-    return nodes - tree.size // 2
+    return jax.lax.fori_loop(0, depth_of(tree), up, (tree.at[nodes].set(priorities), nodes))[0]
 
 
 def draw(tree: jax.Array, key: jax.Array, number: int, stratified: bool) -> jax.Array:
@@ -63,23 +54,27 @@ def draw(tree: jax.Array, key: jax.Array, number: int, stratified: bool) -> jax.
     uniform = jax.random.uniform(key, (number,))
     if stratified:
         uniform = (jnp.arange(number) + uniform) / number
-    depth = _depth(tree)
-    nodes, mass = _descend(
+    depth = depth_of(tree)
+    nodes, mass = descend(
         tree, jnp.ones(number, jnp.int32), uniform * total(tree), min(depth, LEVELS_AT_ONCE)
     )
     if depth > LEVELS_AT_ONCE:
         mass = jax.random.uniform(jax.random.fold_in(key, 1), (number,)) * tree[nodes]
-        nodes, _ = _descend(tree, nodes, mass, depth - LEVELS_AT_ONCE)
+        nodes, _ = descend(tree, nodes, mass, depth - LEVELS_AT_ONCE)
     return nodes - tree.size // 2
 
 
-def _depth(tree: jax.Array) -> int:
+def depth_of(tree: jax.Array) -> int:
     """Levels between the root and the leaves."""
     return (tree.size // 2).bit_length() - 1
 
 
-def _descend(tree: jax.Array, nodes: jax.Array, mass: jax.Array, levels: int) -> tuple[jax.Array, jax.Array]:
-    """So many levels down from nodes (M,), to where the mass lies, and what is left of it there."""
+def descend(tree: jax.Array, nodes: jax.Array, mass: jax.Array, levels: int) -> tuple[jax.Array, jax.Array]:
+    """So many levels down from nodes (M,), to where the mass (M,) lies, and what is left of it there.
+
+    That is where the running sum of priorities first exceeds it. A leaf of priority 0 is never found while
+    there is another.
+    """
 
     def down(_: int, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         nodes, mass = carry

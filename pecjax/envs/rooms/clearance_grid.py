@@ -54,7 +54,7 @@ def make_grid(
     if not np.prod(extent / cell + 1) <= MAX_CELLS:
         raise InputError(
             f"the map is {extent[0]:g} by {extent[1]:g} m; {MAX_CELLS * cell**2:,.0f} m² is the most that "
-            "paths are looked for on"
+            "paths are looked for on, make it smaller"
         )
     gap = np.maximum(np.maximum(lower[:, 2] - flight_height, flight_height - upper[:, 2]), 0)
     near = (gap < reach) & np.all((lower[:, :2] < bounds[1] + reach) & (upper[:, :2] > bounds[0] - reach), 1)

@@ -148,8 +148,15 @@ def load_coordinates(name: str | Path, kind: type[Configurations] = Configuratio
     return read_table(Path(name), kind)
 
 
-def row_name(source: str | Path | None, row: int) -> str:
-    """What messages call a row of a table that was read from `source`, None for no file."""
+def leads_to_waypoint(table: Configurations) -> np.ndarray:
+    """Whether (N,) the objective is to come by a waypoint."""
+    if table.objective is None:
+        return np.zeros(np.shape(table.map_id), bool)
+    return np.asarray(table.objective) == VIA
+
+
+def row_name(source: str | Path | None, row: int, kind: type[Configurations]) -> str:
+    """What messages call a row of a table of that kind, read from `source`, None for no file."""
     if source is None or str(source) in _SETS:
         return f"configuration {row}"
-    return f"{source}, line {line_of(Path(source), Configurations, row)}: configuration {row}"
+    return f"{source}, line {line_of(Path(source), kind, row)}: configuration {row}"

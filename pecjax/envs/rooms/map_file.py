@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from pecjax.envs.rooms.maps import MAX_WALLS
+from pecjax.envs.rooms.maps import FAR_AWAY, MAX_WALLS, MapBank
 from pecjax.envs.rooms.mjcf_file import MapFile
 from pecjax.envs.rooms.solids import is_along_axes, is_wall
 from pecjax.envs.rooms.vehicle_file import geom_kind
@@ -44,6 +44,14 @@ class Map:
         """(W,) bool, what lies over or under most of the map: floors and ceilings."""
         inside = [np.clip(corner[:, :2], *self.bounds) for corner in (self.lower, self.upper)]
         return np.prod(inside[1] - inside[0], axis=1) > MOST_COVERED * np.prod(np.ptp(self.bounds, axis=0))
+
+
+def map_of(bank: MapBank, number: int) -> Map:
+    """One map of a bank, without the boxes that only fill it up."""
+    lower, upper, bounds = (np.asarray(leaf)[number] for leaf in bank)
+    real = lower[:, 0] < FAR_AWAY
+    names = tuple(f"wall {wall}" for wall in range(int(real.sum())))
+    return Map(lower[real], upper[real], bounds, names)
 
 
 def read_map(map_file: MapFile, drone: int) -> Map:

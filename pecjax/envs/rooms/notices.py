@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pecjax.envs.rooms.config import Configurations
+from pecjax.envs.rooms.config import REACH, Configurations
 from pecjax.envs.rooms.map_file import Map
 from pecjax.envs.rooms.rules import NavigationSettings
 from pecjax.envs.rooms.validity import free_regions, regions_at
@@ -42,7 +42,8 @@ def map_notices(
             "used up; add walls around it"
         )
     distance = np.linalg.norm(np.asarray(table.goal) - np.asarray(table.start), axis=1)
-    near = np.flatnonzero(distance < settings.goal_radius)
+    reaches = True if table.objective is None else np.asarray(table.objective) == REACH
+    near = np.flatnonzero((distance < settings.goal_radius) & reaches)
     if near.size:
         first = near[0]
         lines.append(

@@ -15,8 +15,8 @@ import numpy as np
 from pecjax.envs.axes import axes_of, fill
 from pecjax.envs.configuration_files import table_text
 from pecjax.envs.rooms.config import Configurations, load_coordinates
-from pecjax.envs.rooms.map_file import Map
-from pecjax.envs.rooms.maps import FAR_AWAY, make_bank
+from pecjax.envs.rooms.map_file import Map, map_of
+from pecjax.envs.rooms.maps import make_bank
 from pecjax.envs.rooms.notices import map_notices
 from pecjax.envs.rooms.plans.plans import RADIUS
 from pecjax.envs.rooms.rules import NavigationSettings
@@ -70,6 +70,11 @@ class Rooms(NavigationSettings, TaskSettings):
                 does not fit, or a configuration that cannot be flown.
         """
         table, scenes = self.configurations(), self.scenes()
+        if self._space is not None and len(scenes) > 1:
+            raise InputError(
+                f"space '{self.space}' takes one map, whose drone is flown; give one with --scene, not "
+                f"{len(scenes)}"
+            )
         maps = [scene.map for scene in scenes]
         bank = None if self._space is None else self._space.maps
         task = self.task_kind(
@@ -145,12 +150,7 @@ class Rooms(NavigationSettings, TaskSettings):
         bank = None if self._space is None else self._space.maps
         if bank is None:
             return self.scenes()[number]
-        there = bank.lower[number, :, 0] < FAR_AWAY
-        names = tuple(f"box {box}" for box in range(int(there.sum())))
-        return dataclasses.replace(
-            self.scenes()[0],
-            map=Map(bank.lower[number, there], bank.upper[number, there], bank.bounds[number], names),
-        )
+        return dataclasses.replace(self.scenes()[0], map=map_of(bank, number))
 
     def scenes(self) -> list[Scene]:
         """The maps from files in their order, all with the drone of the first; read once.

@@ -14,7 +14,7 @@ from scipy import ndimage
 from pecjax.envs.axes import fill
 from pecjax.envs.rooms.clearance import wall_distance
 from pecjax.envs.rooms.clearance_grid import make_grid
-from pecjax.envs.rooms.config import VIA, Configurations, row_name
+from pecjax.envs.rooms.config import Configurations, leads_to_waypoint, row_name
 from pecjax.envs.rooms.map_file import Map
 from pecjax.envs.rooms.maps import Walls
 from pecjax.envs.rooms.scene import Scene
@@ -54,15 +54,17 @@ def check_configurations(
     """
     if table.waypoint is not None and table.objective is None:
         raise InputError(f"{source or 'the table'}: waypoints without objectives; add a column objective")
-    for row in _first(_leads_to_waypoint(table)) if table.waypoint is None else []:
+
+    def name(row: int) -> str:
+        return row_name(source, row, type(table))
+
+    for row in _first(leads_to_waypoint(table)) if table.waypoint is None else []:
         raise InputError(
-            f"{row_name(source, row)}: its objective leads to a waypoint; add columns waypoint_x, waypoint_y"
+            f"{name(row)}: its objective leads to a waypoint; add columns waypoint_x, waypoint_y"
         )
     map_id = np.asarray(table.map_id)
     for row in _first((map_id < 0) | (map_id >= len(maps))):
-        raise InputError(
-            f"{row_name(source, row)}: there is no map {map_id[row]}; the maps are 0 to {len(maps) - 1}"
-        )
+        raise InputError(f"{name(row)}: there is no map {map_id[row]}; the maps are 0 to {len(maps) - 1}")
     for number in np.unique(map_id):
         _check_in_map(maps[number], table, np.flatnonzero(map_id == number), radius, flight_height, source)
 
@@ -77,13 +79,13 @@ def _check_in_map(
 ) -> None:
     """`check_configurations` of the rows that fly in one map."""
     start, goal = np.asarray(table.start)[chosen], np.asarray(table.goal)[chosen]
-    passed = _leads_to_waypoint(table)[chosen]
+    passed = leads_to_waypoint(table)[chosen]
     # Where there is no waypoint to pass, the goal stands for it.
     waypoint = goal if table.waypoint is None else np.where(passed[:, None], table.waypoint[chosen], goal)
     low, high = one.bounds
 
     def name(row: int) -> str:
-        return row_name(source, int(chosen[row]))
+        return row_name(source, int(chosen[row]), type(table))
 
     for role, points in (("start", start), ("goal", goal), ("waypoint", waypoint)):
         for row in _first(np.any((points < low) | (points > high), axis=1)):
@@ -108,11 +110,6 @@ def _check_in_map(
                 f"{name(row)}: no path of {2 * radius:g} m width leads from "
                 f"{_at(start[row])} to {_at(points[row])}; widen a door or move a point"
             )
-
-
-def _leads_to_waypoint(table: Configurations) -> np.ndarray:
-    """(N,) bool."""
-    return np.zeros(table.size, bool) if table.objective is None else np.asarray(table.objective) == VIA
 
 
 def _distances(one: Map, points: np.ndarray) -> jax.Array:

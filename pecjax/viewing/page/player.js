@@ -129,7 +129,7 @@ class Player {
 
   moveChoice(event) {
     const by = { ArrowDown: 1, ArrowUp: -1 }[event.key];
-    if (!by) return;
+    if (!by || !this.shown.length) return;
     const place = Math.max(0, Math.min(this.shown.length - 1, this.shown.indexOf(this.chosen) + by));
     this.choose(this.shown[place]);
     event.preventDefault();

@@ -61,6 +61,9 @@ def plan_mjcf(plans: Plans, number: int, scene: Path | None = None) -> str:
     for geom in list(spec.geoms):
         if geom.parent.name != "drone":
             spec.delete(geom)
+    for site in list(spec.sites):
+        if site.parent.name != "drone":  # starts and goals that the other map marks
+            spec.delete(site)
     spec.modelname = f"plan {number}"
     spec.comment = (
         f"A floor plan of pecjax, of the family {plans.names[plans.family[number]]}. Lengths in metres."

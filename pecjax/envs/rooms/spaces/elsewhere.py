@@ -83,13 +83,20 @@ def _check_held_out(trained_in: World, world: World, table: Configurations) -> N
 
 
 def _shortest(rooms: Rooms, world: World) -> np.ndarray | None:
-    """The lengths (N,) m of the shortest paths that succeed, None where there are too many."""
+    """The lengths (N,) m of the shortest paths that succeed, None where there are too many.
+
+    Nor are they known where the grid is too coarse for a door that the drone fits through, or the map too
+    large for it.
+    """
     table = world.table
     if table.size > MOST_PATHS:
         return None
     lengths = np.zeros(table.size, np.float32)
     for number in np.unique(np.asarray(table.map_id)):
         scene, rows = rooms.scenes()[number], np.flatnonzero(np.asarray(table.map_id) == number)
-        site = make_site(scene.map, scene.drone_radius, rooms.flight_height)
-        lengths[rows] = table_lengths(site, take_configs(table, rows))
+        try:
+            site = make_site(scene.map, scene.drone_radius, rooms.flight_height)
+            lengths[rows] = table_lengths(site, take_configs(table, rows))
+        except InputError:
+            return None
     return np.maximum(lengths - rooms.goal_radius, 0)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pecjax.envs.rooms.clearance_grid import ClearanceGrid, clearance_along, make_grid
-from pecjax.envs.rooms.config import VIA, Configurations
+from pecjax.envs.rooms.config import Configurations, leads_to_waypoint
 from pecjax.envs.rooms.geodesics import Paths, find_paths, free_clearance, shortest_ways
 from pecjax.envs.rooms.map_file import Map
 from pecjax.envs.rooms.plans.generate import MARGIN
@@ -104,7 +104,7 @@ def table_lengths(site: Site, table: Configurations) -> np.ndarray:
         InputError: one has no path.
     """
     start, goal = np.asarray(table.start), np.asarray(table.goal)
-    via = np.zeros(table.size, bool) if table.objective is None else np.asarray(table.objective) == VIA
+    via = leads_to_waypoint(table)
     lengths = np.zeros(table.size, np.float32)
     lengths[~via] = shortest(site, start[~via], goal[~via])
     if via.any():

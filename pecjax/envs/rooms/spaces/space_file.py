@@ -12,8 +12,8 @@ import platformdirs
 
 from pecjax.envs.axes import columns_of, from_columns
 from pecjax.envs.rooms.centimetres import to_centimetres, to_metres
-from pecjax.envs.rooms.config import Configurations
-from pecjax.envs.rooms.maps import MapBank
+from pecjax.envs.rooms.config import MAX_MAPS, Configurations
+from pecjax.envs.rooms.maps import MAX_WALLS, MapBank
 from pecjax.envs.rooms.spaces.catalogue import find_recipe, make_space
 from pecjax.envs.rooms.spaces.space import SPLITS, Part, Space, arrays_of, check_held_out
 from pecjax.errors import InputError
@@ -21,7 +21,6 @@ from pecjax.storage.arrays import read_plain_arrays
 from pecjax.storage.files import writing
 
 SUFFIX = ".npz"
-_MAX_WALLS, _MAX_MAPS = 1000, 2**20
 
 
 def write_space(path: Path, space: Space) -> None:
@@ -41,9 +40,13 @@ def write_space(path: Path, space: Space) -> None:
     new = path.with_name(f".{os.getpid()}-{path.name}")
     with writing(path, "choose another place"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with new.open("wb") as file:
-            save(file, **arrays)
-        os.replace(new, path)
+        try:
+            with new.open("wb") as file:
+                save(file, **arrays)
+            os.replace(new, path)
+        except OSError:
+            new.unlink(missing_ok=True)  # on a full disk it would take the room that is wanted
+            raise
 
 
 def read_space(path: Path) -> Space:
@@ -77,7 +80,7 @@ def _from_arrays(arrays: dict[str, np.ndarray]) -> tuple[Space, str]:
         maps, walls = lower.shape[:2]
         if lower.shape != (maps, walls, 3) or upper.shape != lower.shape or bounds.shape != (maps, 2, 2):
             raise ValueError("maps of other shapes")
-        if not (0 < maps <= _MAX_MAPS and 0 < walls <= _MAX_WALLS and np.isfinite(bounds).all()):
+        if not (0 < maps <= MAX_MAPS and 0 < walls <= MAX_WALLS and np.isfinite(bounds).all()):
             raise ValueError("maps of no size, or of too many walls")
         bank = MapBank(lower, upper, bounds.astype(np.float32))
     maps = 1 if bank is None else len(bank.lower)
