@@ -99,6 +99,12 @@ def test_runs_have_the_figures_of_plain_loops():
         assert row["steps_to_0.6"] == STEPS[-1]
 
 
+def test_a_cell_whose_runs_all_diverged_is_left_out(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "there")
+    (tmp_path / "there" / "rooms-storm" / "results.csv").write_text("\n")
+    assert set(read_cells(tmp_path / "there")) == {"rooms-pairs"}
+
+
 def test_comparisons_are_of_pairs_and_the_first_ones_are_corrected_together(folder):
     cells = read_cells(folder)
     assert set(cells) == {"rooms-pairs", "rooms-storm"}

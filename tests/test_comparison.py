@@ -59,6 +59,8 @@ def test_the_mean_over_groups_is_that_of_scipy():
     welch = stats.ttest_ind(one, -two, equal_var=False).confidence_interval()
     expected = [(one.mean() + two.mean()) / 2, welch.low / 2, welch.high / 2]
     np.testing.assert_allclose(found, np.expm1(expected), rtol=1e-9)
+    same = mean_relative([(np.ones(3), np.ones(3)), (np.full(2, 4.0), np.ones(2))])
+    np.testing.assert_allclose(same, [1.0] * 3, rtol=1e-12)  # without any spread
     alone = mean_relative([(np.exp(one), np.ones(10))])
     np.testing.assert_allclose(alone, relative(np.exp(one), np.ones(10))[:3], rtol=1e-9)
 

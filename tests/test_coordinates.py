@@ -1,13 +1,16 @@
+from typing import Any
+
 import jax
 import numpy as np
 import pandas as pd
 import pytest
+from flax import struct
 from hypothesis import given, settings, strategies
 from hypothesis.extra.numpy import arrays
 from jax import numpy as jnp
 
 import pecjax
-from pecjax.envs.axes import fill
+from pecjax.envs.axes import axis, fill
 from pecjax.envs.configuration_files import table_text
 from pecjax.envs.rooms.clearance import wall_distance
 from pecjax.envs.rooms.clearance_grid import make_grid
@@ -197,6 +200,19 @@ def test_a_row_of_a_file_is_named_by_its_line(scene, tmp_path):
         pecjax.check_coordinates(scene, table, flight_height=HEIGHT, source=path)
 
 
+@struct.dataclass
+class Narrow(pecjax.Configurations):
+    view: Any = axis("view", default=1.0, low=0, high=1)
+
+
+def test_a_row_with_an_axis_of_ones_own_is_named_likewise(scene, tmp_path):
+    path = tmp_path / "narrow.csv"
+    path.write_text("start_x,start_y,goal_x,goal_y,view\n0,-2,7.7,-2,0.5\n")
+    table = pecjax.load_coordinates(path, Narrow)
+    with pytest.raises(pecjax.InputError, match=r"narrow\.csv, line 2: configuration 0: goal \(7.7, -2\)"):
+        pecjax.check_coordinates(scene, table, flight_height=HEIGHT, source=path)
+
+
 OUTER_EAST = '<geom class="wall" name="outer_east" pos="8 -1 1.25" size="0.1 9.1 1.25"/>'
 NOTICES = {
     "nothing": ([], []),
@@ -227,6 +243,9 @@ def test_a_goal_that_is_reached_at_once_gets_a_notice(scene):
     pecjax.check_coordinates(scene, table, flight_height=HEIGHT)
     (line,) = world_notices(scene, table)
     assert "configuration 1: the goal is 0.32 m from the start" in line and "so it is in 1 more" in line
+    # To hold a goal takes time wherever the episode begins.
+    held = table.replace(objective=np.array([0, 1, 1, 1], np.int32))
+    assert world_notices(scene, held) == ()
 
 
 @pytest.mark.parametrize(

@@ -7,13 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
-from probe_tasks import TARGET_WORLD, WORLD, Target, TwoStates
+from probe_tasks import TARGET_WORLD, WORLD, Numbers, Target, TwoStates
 
 import pecjax
 from pecjax.agents import PPO, device_mesh
 from pecjax.agents.networks import NetworkSettings
 from pecjax.envs.axes import fill
-from pecjax.envs.task import World, take_configs
+from pecjax.envs.task import EvalSet, World, take_configs
+from pecjax.training.build import on_devices
 from pecjax.training.evaluation import make_evaluator, stratified_config_ids
 from pecjax.training.run_episodes import SIDE_BY_SIDE, EvalResult, run_episodes, success_by_config
 
@@ -248,6 +249,16 @@ def test_the_world_is_an_argument_of_the_program():
     np.testing.assert_allclose(there.returns, 0, atol=1e-6)
     np.testing.assert_allclose(elsewhere.returns, -((0.5 * (there.config_id - 1.0)) ** 2), atol=1e-6)
     assert sorted(there.config_id) == [0, 0, 1, 1, 2, 2]
+
+
+def test_an_evaluation_is_of_the_table_that_the_task_says():
+    """Also where trainings draw from a part of it."""
+    mesh = device_mesh(1)
+    wider = EvalSet(Numbers(np.arange(5, dtype=np.float32)))
+    trained_in, there = on_devices(WORLD, wider, mesh)
+    np.testing.assert_array_equal(trained_in.table.number, WORLD.table.number)
+    np.testing.assert_array_equal(there.table.number, wider.table.number)
+    assert on_devices(WORLD, EvalSet(WORLD.table), mesh)[1].table.number.shape == (3,)
 
 
 def test_an_episode_is_the_same_beside_whichever_others_it_is_flown():

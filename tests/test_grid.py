@@ -11,7 +11,7 @@ from test_settings_tree import OWN
 from pecjax import InputError, cli, settings_tree
 from pecjax.curriculum import SamplerSettings, by_group, pec, uniform
 from pecjax.plotting import study as study_figures
-from pecjax.studies import report as study_report
+from pecjax.studies import measures, report as study_report
 from pecjax.studies.catalogue import find_study
 from pecjax.studies.grid import RunSpec, StudySettings, fixed, read_grid
 from pecjax.studies.run import run_study
@@ -202,6 +202,19 @@ def test_its_figures_have_names_of_their_own(made_up, monkeypatch):
     assert len(set(names)) == len(names)
     assert "configurations-Learnability-learning_rate-0.0003-floor-0.5" in names
     assert "alpha" not in names  # it would mix learning rates
+
+
+def test_conditions_without_a_setting_are_paired_among_themselves():
+    runs = pd.DataFrame([
+        {"coordinates": "1", "condition": f"{sampler}, {memory}", "seed": seed, "sampler": sampler}
+        | {"agent.network.memory": memory or np.nan}
+        | dict.fromkeys((*measures.RATIOS, *measures.STEPS), float(seed))
+        for sampler in ("pec", "uniform")
+        for memory in (None, "gru")
+        for seed in (0, 1)
+    ])  # fmt: skip
+    found = {(row["condition"], row["baseline"]) for row in measures.paired(runs)}
+    assert found == {("pec, None", "uniform, None"), ("pec, gru", "uniform, gru")}
 
 
 KIND = ("sampler", "forgetting")

@@ -507,6 +507,17 @@ def test_an_exported_plan_is_read_as_it_was(plans, scene, tmp_path):
         assert "ix rooms" not in path.read_text()
 
 
+def test_an_exported_plan_has_no_marks_of_the_map_whose_drone_it_has(plans, tmp_path):
+    base = tmp_path / "base.xml"
+    assert main(["new-map", str(base)]) == 0
+    assert len(pecjax.load_scene(base).map.starts)
+    path = tmp_path / "plan.xml"
+    path.write_text(plan_mjcf(plans, 0, base))
+    read = pecjax.load_scene(path)
+    assert not len(read.map.starts) and not len(read.map.goals)
+    np.testing.assert_array_equal(np.float32(read.wall_lower), plans.boxes(0)[0])
+
+
 def test_plans_are_flown_as_maps_of_a_task(plans, scene):
     from pecjax.envs.rooms import RoomsTask
     from pecjax.envs.rooms.clearance import wall_distance

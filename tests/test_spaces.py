@@ -12,6 +12,7 @@ from pecjax.envs.axes import make_table
 from pecjax.envs.rooms.clearance import wall_distance
 from pecjax.envs.rooms.config import VIA
 from pecjax.envs.rooms.controller import Command
+from pecjax.envs.rooms.default_drone import default_scene_path
 from pecjax.envs.rooms.flight import Conditions, fly, hover
 from pecjax.envs.rooms.maps import MapBank, Walls
 from pecjax.envs.rooms.rules import NavigationSettings
@@ -289,6 +290,7 @@ def test_a_task_trains_in_one_part_and_is_evaluated_in_the_other(rooms, tmp_path
     [
         ({"table": "2"}, "leave out --coordinates"),
         ({"maps": ("a.xml",)}, "a.xml: no such scene file"),
+        ({"maps": (str(default_scene_path()),) * 2}, "takes one map, .*; give one with --scene, not 2"),
         ({"flight_height": 1.0}, "the spaces are made for 1.2 m"),
         ({"space": "rooms-pair"}, r"did you mean rooms-pairs\?"),
         ({"space": "nowhere.npz"}, "no such file"),
@@ -322,6 +324,14 @@ def test_where_a_policy_is_evaluated(rooms, tmp_path):
     write_space(tmp_path / "trained.npz", trained)
     with pytest.raises(pecjax.InputError, match="1 of the held-out configurations are in the run's training"):
         evaluated_rooms(plain, plain.make()[1], space=str(tmp_path / "trained.npz"))
+
+
+def test_a_door_that_the_grid_is_too_coarse_for_costs_only_the_spl(tmp_path):
+    plan = tmp_path / "narrow.txt"  # doors of 0.6 m between cells of 0.2 m, for a drone of 0.5 m
+    plan.write_text("cell 0.6\n#######\n#.....#\n#S....#\n###.###\n#G....#\n#######\n")
+    rooms = Rooms(maps=(str(plan),))
+    about = evaluated_rooms(rooms, rooms.make()[1])[1]
+    assert about.shortest is None and about.table.size == 1
 
 
 @pytest.mark.parametrize(

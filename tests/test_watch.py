@@ -80,6 +80,15 @@ def test_of_many_flights_some_are_shown_spread_evenly(rooms):
     assert [flight.config_id for flight in few.flights] == [0, 16, 12, 9]
 
 
+def test_a_waypoint_is_shown_where_the_objective_leads_to_it(rooms):
+    task, world = rooms
+    objective = np.arange(20, dtype=np.int32) % 3
+    table = world.table.replace(objective=objective, waypoint=np.zeros((20, 2), np.float32))
+    found = make_recording("", task, world._replace(table=table), arrays_of(world, steps=10), most=FLIGHTS)
+    passes = [flight.waypoint is not None for flight in found.flights]
+    assert passes == [objective[flight.config_id] == 2 for flight in found.flights] and any(passes)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
