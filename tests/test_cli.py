@@ -390,7 +390,10 @@ def test_a_goal_that_no_path_reaches(command, edited_rooms, refused):
         (["--agent", "sac"], ["unknown agent 'sac'", "ppo", "apex"]),
         (["--agent", "apex", "--preset", "rllib085"], ["preset 'rllib085' trains with ppo"]),
         (["--agent", "apex", "--num-envs", "6"], ["4 shards do not divide 6 environments"]),
-        (["--agent", "apex", "--devices", "3"], ["4 replay shards cannot be shared evenly by", "3 devices"]),
+        (
+            ["--agent", "apex", "--num-envs", "512", "--devices", "3"],
+            ["4 replay shards cannot be shared evenly by", "3 devices"],
+        ),
         (["--until-goal-ratio", "1.5"], ["until-goal-ratio is 1.5"]),
         (["--until-goal-ratio", "nan"], ["until-goal-ratio is nan"]),
         (["--patience", "0"], ["patience is 0"]),

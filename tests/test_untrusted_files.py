@@ -269,6 +269,8 @@ def test_absurd_settings_of_a_strangers_run_are_refused(path, value, words, tmp_
     *parents, name = ("settings." + path).split(".")
     functools.reduce(dict.__getitem__, parents, config)[name] = value
     (run / "config.json").write_text(json.dumps(config))
+    for file, content in PRESETS["fast"].task.files().items():  # a sampler is made over its configurations
+        (run / file).write_bytes(content)
     for command in (["eval", run], ["train", "--resume", "--out", run]):
         if name == "episodes" and command[0] == "eval":
             command += ["--episodes", value]

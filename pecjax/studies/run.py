@@ -82,7 +82,7 @@ def _make_batches(
         key = fixed(specs[0].values)
         if key not in programs:  # with as many places in the last batch, so that it rounds as the others do
             programs[key] = several_runs(run, *worlds[run.task], settings.parallel_runs)
-        collected = _train(settings, specs, programs[key], worlds[run.task][1], progress, interruption)
+        collected = _train(settings, specs, programs[key], progress, interruption)
         directory.write_batch(number, collected)
         directory.merge_tables(len(batches))
     directory.merge_tables(len(batches))
@@ -92,7 +92,6 @@ def _train(
     settings: StudySettings,
     specs: tuple[RunSpec, ...],
     program: StudyProgram,
-    world: World,
     progress: Progress,
     interruption: Interruption,
 ) -> Collected:
@@ -101,7 +100,7 @@ def _train(
     # A study looks at its configurations when it evaluates, and the devices never wait for the host.
     run = dataclasses.replace(run, configurations_every=run.evaluation.every)
     heads = [settings.row(spec) for spec in specs]
-    collected = Collected(heads, program.program.eval_set.table is not world.table)
+    collected = Collected(heads, program.elsewhere)
 
     def diverged(which: int, iteration: int, names: list[str]) -> None:
         progress.say(f"{collected.diverge(which, iteration, names)}; the other runs continue")

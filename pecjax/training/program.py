@@ -136,10 +136,12 @@ class StudyProgram(NamedTuple):
         init: (seeds, numbers of the sampler by name) -> their first state; of fewer than K the last is
             repeated.
         program: the rest.
+        elsewhere: whether policies are evaluated in another table than they are trained in.
     """
 
     init: Callable[[Sequence[int], Mapping[str, Sequence[float]]], TrainState]
     program: Program
+    elsewhere: bool
 
 
 def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> StudyProgram:
@@ -209,4 +211,5 @@ def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> 
             lambda state: np.asarray(state.counts),
             lambda state: np.asarray(probabilities(state.sampler)),
         ),
+        eval_world is not world,
     )
