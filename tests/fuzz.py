@@ -28,7 +28,7 @@ from pecjax.envs.rooms.scene import default_scene_path
 from pecjax.envs.rooms.validity import check_coordinates
 from pecjax.plotting.run import _COLUMNS
 from pecjax.storage.arrays import write_arrays
-from pecjax.storage.tables import read_table
+from pecjax.storage.tables import csv_text, read_table
 from pecjax.studies.directory import StudyDirectory
 from pecjax.training.checkpoint import Checkpoints
 from pecjax.training.run_directory import RunDirectory
@@ -242,7 +242,7 @@ def sample_run(folder: Path) -> Path:
         (one / "coordinates.csv").write_text(table)
         for name, columns in _COLUMNS.items():
             rows = [dict.fromkeys(sorted(columns), number * 0.5) for number in range(4)]
-            (one / f"{name}.csv").write_text(plain_files.csv_text(rows))
+            (one / f"{name}.csv").write_text(csv_text(rows))
     counts = {name: np.arange(20) for name in ("trials", "failures", "probability")}
     flights = {
         "config_id": np.arange(3), "success": np.ones(3, bool), "return": np.zeros(3),

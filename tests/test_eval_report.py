@@ -8,7 +8,7 @@ from scipy import stats
 
 from pecjax.envs.task import EvalSet
 from pecjax.plotting.evaluation import evaluation
-from pecjax.storage.files import csv_text, joined_tables
+from pecjax.storage.tables import csv_text, joined_tables
 from pecjax.training.eval_report import BINS, make_report
 from pecjax.training.measures import cvar, figures_of, spl, unbiased_cvar
 from pecjax.training.rows import evaluation_row

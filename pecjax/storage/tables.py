@@ -1,12 +1,63 @@
-"""Tables: CSV files read back."""
+"""Tables: rows as text, and CSV files read back."""
 
 from __future__ import annotations
 
+import csv
+import io
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
+import numpy as np
 
 from pecjax.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Row = dict[str, Any]
+
+
+def csv_text(rows: Iterable[Row], header: bool = True) -> str:
+    """Rows with the same columns as lines of CSV, a header before them if there are any."""
+    text = io.StringIO()
+    for number, row in enumerate(rows):
+        writer = csv.DictWriter(text, fieldnames=list(row), lineterminator="\n")
+        if header and number == 0:
+            writer.writeheader()
+        writer.writerow({key: _plain(value) for key, value in row.items()})
+    return text.getvalue()
+
+
+def markdown_text(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown, its first row the head."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def joined_tables(texts: Iterable[str]) -> str:
+    """One table of several, with the columns of all: a row of a table that lacks one has an empty field.
+
+    The columns of the longest come first.
+    """
+    tables = [text.partition("\n") for text in texts]
+    headers = sorted({head for head, _, _ in tables if head}, key=lambda head: (-len(head), head))
+    if len(headers) < 2:
+        return f"{''.join(headers)}\n{''.join(rows for _, _, rows in tables)}"
+    columns = list(dict.fromkeys(name for head in headers for name in head.split(",")))
+    joined = io.StringIO()
+    writer = csv.DictWriter(joined, columns, restval="", lineterminator="\n")
+    writer.writeheader()
+    for head, _, rows in tables:
+        writer.writerows(csv.DictReader(io.StringIO(rows), head.split(",")))
+    return joined.getvalue()
+
+
+def _plain(value: Any) -> Any:
+    """Seven digits are all that float32 holds; a missing figure is an empty field."""
+    if isinstance(value, float | np.floating):
+        return "" if np.isnan(value) else f"{value:.7g}"
+    return value
 
 
 def read_table(path: Path, columns: set[str]) -> pd.DataFrame:
@@ -15,6 +66,8 @@ def read_table(path: Path, columns: set[str]) -> pd.DataFrame:
     Raises:
         InputError: the file is missing, is no table, or lacks one of them.
     """
+    import pandas as pd  # slow to import, and trainings write rows without it
+
     if not path.is_file():
         raise InputError(f"{path}: missing; the run or study has not got that far, train it to its end")
     try:

@@ -10,8 +10,7 @@ import pandas as pd
 
 from pecjax.agents import PPO
 from pecjax.errors import InputError
-from pecjax.storage import files
-from pecjax.storage.tables import read_table
+from pecjax.storage.tables import Row, read_table
 from pecjax.studies.benchmark import CELLS, Cell
 from pecjax.studies.comparison import difference, holm, mean_relative, relative, steps_to
 from pecjax.studies.measures import BASELINE
@@ -74,7 +73,7 @@ def by_run(results: pd.DataFrame, cell: Cell) -> pd.DataFrame:
     return whole.fillna(never).reset_index()
 
 
-def compare(runs: Mapping[str, pd.DataFrame]) -> list[files.Row]:
+def compare(runs: Mapping[str, pd.DataFrame]) -> list[Row]:
     """One row a cell, condition and measure, beside uniform sampling of the same seeds.
 
     Steps are compared as ratios (`comparison.relative`), all else by the mean difference. `p_holm` corrects
@@ -88,7 +87,7 @@ def compare(runs: Mapping[str, pd.DataFrame]) -> list[files.Row]:
     return rows
 
 
-def compare_together(runs: Mapping[str, pd.DataFrame]) -> list[files.Row]:
+def compare_together(runs: Mapping[str, pd.DataFrame]) -> list[Row]:
     """One row a condition: steps to the middle thresholds over uniform ones, the mean of the cells under PPO.
 
     Conditions that one of these cells lacks are left out; where there is one cell, all are.
@@ -108,7 +107,7 @@ def compare_together(runs: Mapping[str, pd.DataFrame]) -> list[files.Row]:
     ]
 
 
-def _of_cell(name: str, cell: Cell, runs: pd.DataFrame) -> Iterator[files.Row]:
+def _of_cell(name: str, cell: Cell, runs: pd.DataFrame) -> Iterator[Row]:
     groups = runs.groupby("condition", sort=False)
     by_condition = {
         str(condition): rows.drop(columns="condition").set_index("seed") for condition, rows in groups

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pecjax.storage import files
+from pecjax.storage.tables import Row, csv_text, markdown_text
 from pecjax.studies.benchmark import CELLS, Cell
 from pecjax.studies.benchmark_measures import (
     STEPS,
@@ -25,7 +26,7 @@ from pecjax.studies.shares import KINDS, mean_shares, read_shares
 _SPENT = "Where steps went until half of the uniform runs had the middle threshold, or to the end:"
 
 
-def table(name: str, runs: pd.DataFrame, compared: list[files.Row]) -> str:
+def table(name: str, runs: pd.DataFrame, compared: list[Row]) -> str:
     """A cell's table in Markdown: how each condition ended, and its steps beside those of uniform ones."""
     cell = CELLS[name]
     measures = ["goal_ratio", *([] if cell.measured == "goal_ratio" else [cell.measured]), "area"]
@@ -47,10 +48,10 @@ def table(name: str, runs: pd.DataFrame, compared: list[files.Row]) -> str:
             over = f"{first['value']:+.0%} [{first['low']:+.0%}, {first['high']:+.0%}]"
             line += [over, f"{first['p']:.2g}", f"{first['p_holm']:.2g}"]
         lines.append(line)
-    return files.markdown_text(heads, lines)
+    return markdown_text(heads, lines)
 
 
-def in_short(compared: list[files.Row], together: list[files.Row]) -> str:
+def in_short(compared: list[Row], together: list[Row]) -> str:
     """Two tables in Markdown, a row a condition and a column a cell, with 95 % intervals.
 
     First the steps to the middle thresholds over those of uniform sampling, then what the cells measure at
@@ -72,10 +73,10 @@ def _by_cell(head: str, rows: pd.DataFrame, figure: str) -> str:
     texts = [text.format(*of) for of in zip(rows.value, rows.low, rows.high, strict=True)]
     table = rows.assign(text=texts).pivot_table("text", "condition", "cell", aggfunc="first", sort=False)
     lines = [[str(name), *of] for name, of in table.fillna("").iterrows()]
-    return files.markdown_text([head, *(str(name) for name in table.columns)], lines)
+    return markdown_text([head, *(str(name) for name in table.columns)], lines)
 
 
-def scores(compared: list[files.Row]) -> str:
+def scores(compared: list[Row]) -> str:
     """A table in Markdown: steps to the thresholds over uniform ones, by cell, and their mean.
 
     Means, over a cell's thresholds and over cells, are geometric, the least come first, and conditions that a
@@ -86,10 +87,10 @@ def scores(compared: list[files.Row]) -> str:
     logs = steps.pivot_table("log", "condition", "cell", sort=False).dropna()
     ordered = np.expm1(logs.assign(mean=logs.mean(axis=1)).sort_values("mean", kind="stable"))
     lines = [[str(name), *(f"{value:+.0%}" for value in row)] for name, row in ordered.iterrows()]
-    return files.markdown_text(["", *(str(name) for name in ordered.columns)], lines)
+    return markdown_text(["", *(str(name) for name in ordered.columns)], lines)
 
 
-def spent(cell: Cell, runs: pd.DataFrame, compared: list[files.Row], shares: pd.DataFrame) -> str:
+def spent(cell: Cell, runs: pd.DataFrame, compared: list[Row], shares: pd.DataFrame) -> str:
     """A table in Markdown: where steps went until half of the uniform runs had the middle threshold.
 
     κ is the share of what is learnable over that share of uniform sampling. If nothing else taught anything,
@@ -114,7 +115,7 @@ def spent(cell: Cell, runs: pd.DataFrame, compared: list[files.Row], shares: pd.
         kappa = of[learnable] / means[BASELINE][learnable]
         line = [condition, *(f"{share:.2f}" for share in of), f"{kappa:.2f}", f"{1 / kappa - 1:+.0%}"]
         lines.append([*line, f"{found[condition]:+.0%}" if condition in found else ""])
-    return files.markdown_text(heads, lines)
+    return markdown_text(heads, lines)
 
 
 def chance(runs: Mapping[str, pd.DataFrame]) -> str:
@@ -129,7 +130,7 @@ def chance(runs: Mapping[str, pd.DataFrame]) -> str:
         within = float(np.sqrt(logs.var(axis=1).mean()))
         found = float(logs.mean(axis=1).std())
         lines.append([name, *(f"{sd:.2f}" for sd in (within, within / np.sqrt(logs.shape[1]), found))])
-    return files.markdown_text(["", "one run", "means, by chance", "means, found"], lines)
+    return markdown_text(["", "one run", "means, by chance", "means, found"], lines)
 
 
 def _reached(steps: np.ndarray, budget: float) -> str:
@@ -165,7 +166,7 @@ def write_benchmark_report(folder: Path) -> str:
     every = pd.concat([rows.assign(cell=name) for name, rows in runs.items()], ignore_index=True)
     ordered = every.loc[:, ["cell", *every.columns.drop("cell")]].to_dict("records")
     with files.writing(folder, "the same command writes it once it can"):
-        files.replace_file(folder / "runs.csv", files.csv_text(ordered))
-        files.replace_file(folder / "comparisons.csv", files.csv_text(compared))
+        files.replace_file(folder / "runs.csv", csv_text(ordered))
+        files.replace_file(folder / "comparisons.csv", csv_text(compared))
         files.replace_file(folder / "report.md", text)
     return text

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pecjax.storage.files import Row
+from pecjax.storage.tables import Row
 from pecjax.training.measures import unbiased_cvar
 from pecjax.training.run_episodes import success_by_config
 from pecjax.training.sinks import Sink

@@ -20,6 +20,7 @@ from pecjax.errors import InputError
 from pecjax.runtime.provenance import environment_facts, short_commit
 from pecjax.storage import files
 from pecjax.storage.arrays import read_plain_arrays
+from pecjax.storage.tables import csv_text, joined_tables
 from pecjax.studies.collect import Collected
 from pecjax.studies.grid import StudySettings
 from pecjax.training import former_versions
@@ -159,7 +160,7 @@ class StudyDirectory:
         new = self._batches / f".{number:04}"
         new.mkdir()
         tables = {"results": collected.table("evaluation"), "metrics": collected.table("metrics")}
-        content = {f"{name}.csv": files.csv_text(rows).encode() for name, rows in tables.items()}
+        content = {f"{name}.csv": csv_text(rows).encode() for name, rows in tables.items()}
         content[_PROVENANCE] = files.json_text(self._facts).encode()
         arrays = io.BytesIO()
         save: Any = np.savez  # whose own arguments no array is named like
@@ -193,7 +194,7 @@ class StudyDirectory:
         """Writes the tables anew from those of so many batches that are there, in their order."""
         for name in self.TABLES:
             texts = [(path / f"{name}.csv").read_text() for path in self._held(number)]
-            files.replace_file(self.folder / f"{name}.csv", files.joined_tables(texts))
+            files.replace_file(self.folder / f"{name}.csv", joined_tables(texts))
 
     def rebuild_tables(self) -> list[str]:
         """Writes the tables anew from the batches; says how many are there, and which runs diverged.

@@ -14,7 +14,8 @@ import jax
 from pecjax import settings_tree
 from pecjax.envs.task import TaskSettings
 from pecjax.errors import InputError
-from pecjax.storage.files import Row, exact_text
+from pecjax.storage.files import exact_text
+from pecjax.storage.tables import Row
 from pecjax.training.kinds import kind_name
 from pecjax.training.settings import RunSettings, check_settings, override
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from pecjax.storage import files
+from pecjax.storage.tables import Row
 from pecjax.studies.statistics import (
     Interval,
     area_under_curve,
@@ -77,7 +77,7 @@ def group_columns(table: pd.DataFrame) -> list[str]:
     return [name for name in table.columns if name.startswith("goal_ratio.")]
 
 
-def summary(runs: pd.DataFrame) -> Iterator[files.Row]:
+def summary(runs: pd.DataFrame) -> Iterator[Row]:
     """One row a condition: interquartile means with intervals, medians and ranges of steps."""
     keys = ["coordinates", "condition"]
     for _, rows in runs.groupby(keys, sort=False):
@@ -94,7 +94,7 @@ def summary(runs: pd.DataFrame) -> Iterator[files.Row]:
         yield row
 
 
-def paired(runs: pd.DataFrame) -> Iterator[files.Row]:
+def paired(runs: pd.DataFrame) -> Iterator[Row]:
     """One row a condition and measure: differences from the baseline, seed by seed.
 
     Where settings of the learner vary too, the baseline has the same ones.

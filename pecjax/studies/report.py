@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pecjax.storage import files
+from pecjax.storage.tables import Row, csv_text, markdown_text
 from pecjax.studies.grid import shown_space
 from pecjax.studies.measures import (
     LAST_ITERATIONS,
@@ -52,12 +53,12 @@ def write_report(folder: Path) -> str:
     }
     with files.writing(folder, "the same command resumes once it can"):
         for name, rows in written.items():
-            files.replace_file(folder / f"{name}.csv", files.csv_text(rows))
+            files.replace_file(folder / f"{name}.csv", csv_text(rows))
         files.replace_file(folder / "report.md", markdown_report(summaries, differences, group_columns(runs)))
     return "\n".join(_in_words(summaries, differences))
 
 
-def _in_words(summaries: Sequence[files.Row], differences: Sequence[files.Row]) -> Iterator[str]:
+def _in_words(summaries: Sequence[Row], differences: Sequence[Row]) -> Iterator[str]:
     for row in summaries:
         yield (
             f"{shown_space(row['coordinates'])}, {row['condition']}, {row['seeds']} seeds: goal ratio "
@@ -81,9 +82,7 @@ def _in_words(summaries: Sequence[files.Row], differences: Sequence[files.Row]) 
         )
 
 
-def markdown_report(
-    summaries: Sequence[files.Row], differences: Sequence[files.Row], groups: Sequence[str] = ()
-) -> str:
+def markdown_report(summaries: Sequence[Row], differences: Sequence[Row], groups: Sequence[str] = ()) -> str:
     """For each space a table of how its conditions ended, and one of each paired comparison.
 
     Ratios are interquartile means over seeds with intervals, steps medians with the least and the greatest,
@@ -105,11 +104,11 @@ def markdown_report(
             parts.append(f"In pairs, {condition} - {baseline}:\n")
             rows = [row for row in of_space if (row["condition"], row["baseline"]) == (condition, baseline)]
             lines = [[_name(row["measure"]), *_difference(row)] for row in rows]
-            parts.append(files.markdown_text(["", "better / equal / worse", "difference", "p"], lines))
+            parts.append(markdown_text(["", "better / equal / worse", "difference", "p"], lines))
     return "\n".join(parts)
 
 
-def _ends(conditions: Sequence[files.Row], seeds: int, groups: Sequence[str]) -> str:
+def _ends(conditions: Sequence[Row], seeds: int, groups: Sequence[str]) -> str:
     """How each condition ended; those with fewer seeds, of which runs diverged, say so."""
     heads = [
         row["condition"] if row["seeds"] == seeds else f"{row['condition']} ({row['seeds']} seeds)"
@@ -119,7 +118,7 @@ def _ends(conditions: Sequence[files.Row], seeds: int, groups: Sequence[str]) ->
     for name in (*RATIOS, *groups, *STEPS, *TRAINING):
         text = _steps if name in STEPS else _number
         lines.append([_name(name), *(text(row, name) for row in conditions)])
-    return files.markdown_text(["", *heads], lines)
+    return markdown_text(["", *heads], lines)
 
 
 def _name(measure: str) -> str:
@@ -127,7 +126,7 @@ def _name(measure: str) -> str:
     return f"{group} at the end" if group else NAMES[measure]
 
 
-def _steps(row: files.Row, name: str) -> str:
+def _steps(row: Row, name: str) -> str:
     """The median, the least and the greatest; and in how many runs it was reached where it is not all."""
     median, least, greatest = (_millions(row[f"{name}_{which}"]) for which in ("median", "min", "max"))
     reached = row[f"{name}_reached"]
@@ -137,7 +136,7 @@ def _steps(row: files.Row, name: str) -> str:
     return f"{median} ({least}-{greatest}){among}"
 
 
-def _difference(row: files.Row) -> list[str]:
+def _difference(row: Row) -> list[str]:
     counts = [row[which] for which in ("better", "equal", "worse")]
     if row["measure"] in STEPS:
         millions = {name: row[name] / 1e6 for name in ("difference", "difference_low", "difference_high")}
@@ -148,7 +147,7 @@ def _difference(row: files.Row) -> list[str]:
     return [" / ".join(map(str, counts)), found + over, "" if np.isnan(row["p"]) else f"{row['p']:.2g}"]
 
 
-def _number(row: files.Row, name: str, form: str = "{:.3f}") -> str:
+def _number(row: Row, name: str, form: str = "{:.3f}") -> str:
     """The value, with its interval where there is one; nothing where there is no value."""
     value, low, high = (row[key] for key in (name, f"{name}_low", f"{name}_high"))
     if np.isnan(value):

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pecjax.storage import files
-from pecjax.storage.tables import read_table
+from pecjax.storage.tables import csv_text, read_table
 from pecjax.studies.directory import StudyDirectory
 from pecjax.studies.tables import conditions_of
 
@@ -53,7 +53,7 @@ def write_shares(folder: Path) -> None:
     rows = pd.concat(tables, ignore_index=True)
     rows = rows.assign(condition=conditions_of(rows), **dict(zip(KINDS, found.reshape(-1, 3).T, strict=True)))
     columns = ["condition", "seed", "env_steps", *KINDS]
-    files.replace_file(folder / "shares.csv", files.csv_text(rows.loc[:, columns].to_dict("records")))
+    files.replace_file(folder / "shares.csv", csv_text(rows.loc[:, columns].to_dict("records")))
 
 
 def read_shares(folder: Path, cells: Iterable[str]) -> dict[str, pd.DataFrame]:

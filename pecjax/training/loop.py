@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from pecjax.agents import TrainState
-from pecjax.storage.files import Row
+from pecjax.storage.tables import Row
 from pecjax.training.program import Program
 from pecjax.training.rows import (
     configuration_arrays,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pecjax.storage.files import Row
+from pecjax.storage.tables import Row
 from pecjax.training import train as training
 from pecjax.training.load import Trained, open_run
 from pecjax.training.settings import RunSettings

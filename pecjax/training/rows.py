@@ -8,7 +8,7 @@ import numpy as np
 
 from pecjax.agents import Metrics
 from pecjax.envs.task import EvalSet, num_configs
-from pecjax.storage.files import Row
+from pecjax.storage.tables import Row
 from pecjax.training.measures import by_group, cvar, spl
 from pecjax.training.run_episodes import EvalResult, in_order, success_by_config
 

@@ -18,6 +18,7 @@ from pecjax.runtime.distributed import primary_only
 from pecjax.runtime.provenance import FACTS, session_facts
 from pecjax.storage import files
 from pecjax.storage.arrays import by_iteration, iterations_in, read_plain_arrays, write_arrays
+from pecjax.storage.tables import Row, csv_text
 from pecjax.training import former_versions
 from pecjax.training.settings import RunSettings
 
@@ -64,10 +65,10 @@ class RunDirectory:
         return self.settings().task.kept_in(self.folder)
 
     @primary_only
-    def append(self, name: str, rows: Iterable[files.Row]) -> None:
+    def append(self, name: str, rows: Iterable[Row]) -> None:
         """Adds rows to a table, with a header when it is new."""
         path = self.folder / name
-        text = files.csv_text(rows, header=not path.exists())
+        text = csv_text(rows, header=not path.exists())
         with path.open("a", newline="") as file:
             file.write(text)
 

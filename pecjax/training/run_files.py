@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from pecjax.storage.files import Row
+from pecjax.storage.tables import Row
 from pecjax.training.loop import Clock
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.sinks import Sink

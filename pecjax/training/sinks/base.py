@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from pecjax.storage.files import Row
+from pecjax.storage.tables import Row
 
 
 class Sink:

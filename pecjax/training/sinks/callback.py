@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from pecjax.runtime.distributed import primary_only
-from pecjax.storage.files import Row
+from pecjax.storage.tables import Row
 from pecjax.training.sinks.base import Sink
 
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from pecjax.storage.files import Row
+from pecjax.storage.tables import Row
 
 POSITION = ("iteration", "env_steps")  # the columns that say where a row stands
 _TIMES = ("seconds",)  # of metrics.csv alone; trackers have clocks of their own

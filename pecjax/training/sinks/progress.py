@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress as Bar, TextColumn, TimeRemainingColumn
 
 from pecjax.runtime.distributed import is_primary
-from pecjax.storage.files import Row
+from pecjax.storage.tables import Row
 from pecjax.training.sinks.base import Sink
 
 SECONDS_BETWEEN_LINES = 10.0  # where there is no terminal to draw a bar on

@@ -9,7 +9,7 @@ from typing import Any
 from pecjax import settings_tree
 from pecjax.runtime.distributed import primary_only
 from pecjax.runtime.extras import require
-from pecjax.storage.files import Row
+from pecjax.storage.tables import Row
 from pecjax.training.kinds import run_label
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.sinks.base import Sink
