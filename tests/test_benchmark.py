@@ -11,6 +11,7 @@ import pytest
 
 from pecjax import InputError, cli
 from pecjax.envs.task import num_configs
+from pecjax.errors import DivergedError
 from pecjax.plotting import benchmark as figures
 from pecjax.studies import benchmark
 from pecjax.studies.benchmark import CELLS, CONFIRMATION, SCREENING, STUDIES
@@ -94,9 +95,34 @@ def test_runs_have_the_figures_of_plain_loops():
         area = sum((ratios[1:] + ratios[:-1]) / 2 / 2) / 9  # of the hard half
         assert row["area"] == pytest.approx(area)
         for at in (0.2, 0.4):
-            if ratios[0] / 2 < at:
-                assert row[f"steps_to_{at}"] == pytest.approx(np.interp(at, ratios / 2, STEPS))
+            assert row[f"steps_to_{at}"] == pytest.approx(np.interp(at, ratios / 2, STEPS))
         assert row["steps_to_0.6"] == STEPS[-1]
+
+
+def test_what_diverged_in_any_cell_is_told_after_the_report(folder, tmp_path, monkeypatch, capsys):
+    made = ["rooms-pairs", "rooms-storm"]
+
+    def run(settings, cell, notice):
+        if cell.name in made:
+            shutil.copytree(folder / cell.name, cell)
+            return
+        cell.mkdir(parents=True)
+        (cell / "results.csv").write_text("\n")
+        raise DivergedError(f"{cell.name}: all runs diverged")
+
+    monkeypatch.setattr("pecjax.commands.study.run_study", run)
+    monkeypatch.setattr("pecjax.studies.shares.write_shares", lambda cell: None)
+    there = tmp_path / "there"
+    words = ["study", "samplers", "--scale", "smoke", "--out", str(there)]
+    assert cli.main(words) == 1
+    out, err = capsys.readouterr()
+    assert "## rooms-pairs" in out and "## rooms-storm" in out and (there / "figures").is_dir()
+    assert all((f"{name}: all runs diverged" in err) == (name not in made) for name in CELLS)
+    shutil.rmtree(there)
+    made.clear()
+    assert cli.main(words) == 1
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("all runs diverged") == len(CELLS)
 
 
 def test_a_cell_whose_runs_all_diverged_is_left_out(folder, tmp_path):

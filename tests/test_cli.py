@@ -394,6 +394,7 @@ def test_a_goal_that_no_path_reaches(command, edited_rooms, refused):
             ["--agent", "apex", "--num-envs", "512", "--devices", "3"],
             ["4 replay shards cannot be shared evenly by", "3 devices"],
         ),
+        (["--agent", "apex", "--num-envs", "512", "--sampler", "plr"], ["signal is None", "PPO gives it"]),
         (["--until-goal-ratio", "1.5"], ["until-goal-ratio is 1.5"]),
         (["--until-goal-ratio", "nan"], ["until-goal-ratio is nan"]),
         (["--patience", "0"], ["patience is 0"]),

@@ -1,5 +1,6 @@
 """Evaluation against a plain loop over the environment's steps."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import jax
@@ -14,9 +15,14 @@ from pecjax.agents import PPO, device_mesh
 from pecjax.agents.networks import NetworkSettings
 from pecjax.envs.axes import fill
 from pecjax.envs.task import EvalSet, World, take_configs
+from pecjax.studies.grid import StudySettings
+from pecjax.studies.run import run_study
+from pecjax.training import train as training
 from pecjax.training.build import on_devices
 from pecjax.training.evaluation import make_evaluator, stratified_config_ids
+from pecjax.training.load import open_run
 from pecjax.training.run_episodes import SIDE_BY_SIDE, EvalResult, run_episodes, success_by_config
+from pecjax.training.settings import EvaluationSettings, StopSettings
 
 # Steering straight at the goal reaches the first, hits a wall on the way to the second, and runs
 # out of steps on the way to the third.
@@ -259,6 +265,39 @@ def test_an_evaluation_is_of_the_table_that_the_task_says():
     np.testing.assert_array_equal(trained_in.table.number, WORLD.table.number)
     np.testing.assert_array_equal(there.table.number, wider.table.number)
     assert on_devices(WORLD, EvalSet(WORLD.table), mesh)[1].table.number.shape == (3,)
+
+
+@dataclass(frozen=True)
+class Elsewhere(pecjax.TaskSettings):
+    """Trained on targets in reach, evaluated on five that are far away."""
+
+    def make(self):
+        return Target(), TARGET_WORLD
+
+    def eval_set(self, world):
+        return EvalSet(Numbers(np.arange(10, 15, dtype=np.float32)))
+
+
+def test_trainings_and_studies_evaluate_in_the_table_that_the_task_says(tmp_path):
+    agent = PPO(
+        num_envs=8, num_steps=4, num_epochs=1, num_minibatches=2, network=NetworkSettings(hidden=(4,))
+    )
+    settings = pecjax.RunSettings(
+        task=Elsewhere(), agent=agent, evaluation=EvaluationSettings(1, 5), stop=StopSettings(1)
+    )
+    # An action goes up to 2, and the nearest of these targets is at 7.2.
+    far = -((7.2 - 2) ** 2)
+    training.train(settings, tmp_path / "run", 1)
+    assert pd.read_csv(tmp_path / "run" / "evaluation.csv").mean_return.max() < far
+    assert pd.read_csv(tmp_path / "run" / "metrics.csv").mean_return.min() > far
+    flights = open_run(tmp_path / "run").evaluator()()
+    assert sorted(flights.config_id) == [*range(5)] and flights.returns.max() < far
+    study = StudySettings("elsewhere", settings, (("sampler", ("pec", "uniform")),), (0,), parallel_runs=1)
+    run_study(study, tmp_path / "study")
+    assert pd.read_csv(tmp_path / "study" / "results.csv").mean_return.max() < far
+    for path in tmp_path.glob("study/batches/0*/configurations.npz"):
+        found = np.load(path)
+        assert np.isnan(found["goal_ratio"]).all() and found["trials"].shape == (1, 1, 3)
 
 
 def test_an_episode_is_the_same_beside_whichever_others_it_is_flown():

@@ -178,7 +178,7 @@ def test_no_title_names_a_file(all_figures):
             assert not any(part in title for part in ("/", ".csv", ".json", "fig4", "coordinates 1")), name
 
 
-def test_nothing_written_lies_outside_the_figure(all_figures):
+def test_legends_lie_within_the_figure_and_beside_its_axes(all_figures):
     for name, figure in all_figures.items():
         figure.draw_without_rendering()
         page = figure.bbox

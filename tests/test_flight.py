@@ -12,7 +12,8 @@ from scipy import signal
 
 import pecjax
 from pecjax.envs.rooms.controller import Command, allocate_rotors
-from pecjax.envs.rooms.flight import Conditions, DroneState, hover, physics_step, rotor_controls
+from pecjax.envs.rooms.flight import Conditions, DroneState, fly, hover, physics_step, rotor_controls
+from pecjax.envs.rooms.maps import FEW_WALLS, Walls
 from pecjax.envs.rooms.rotations import heading
 
 HEIGHT = 1.2
@@ -290,6 +291,29 @@ def test_all_that_acts_on_the_drone_in_its_map_acts_on_it_alone(has_gravity, tmp
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("fillers", [0, FEW_WALLS])
+def test_the_least_distance_of_a_flight_is_that_after_any_of_its_steps(scene, fillers):
+    """Past a post that is nearest in between, among few walls and among many."""
+    post = np.array([[1.0, 0.6, 0.0]]), np.array([[1.02, 0.7, 2.0]])
+    far = np.full((fillers, 3), 50.0)
+    walls = Walls(*(jnp.asarray(np.concatenate([corner, far]), jnp.float32) for corner in post))
+    command, gains = Command(2.0, 0.0, HEIGHT), pecjax.ControllerGains()
+    flight = jax.jit(
+        lambda state, steps: fly(scene.vehicle, walls, gains, state, command, steps), static_argnums=1
+    )
+    state, distances = start(), []
+    for _ in range(100):
+        before, (state, distance) = state, flight(state, 1)
+        distances.append((float(distance), before))
+    nearest = int(np.argmin([distance for distance, _ in distances]))
+    assert 2 < nearest < 97
+    _, begin = distances[nearest - 2]
+    _, least = flight(begin, 5)
+    after = [distance for distance, _ in distances[nearest - 2 : nearest + 3]]
+    np.testing.assert_allclose(least, min(after), rtol=1e-5)
+    assert min(after) < min(after[0], after[-1]) - 1e-3
+
+
 def test_halving_the_time_step_changes_little(scene, flights, edited_rooms):
     finer = [
         fly_all(pecjax.load_scene(edited_rooms(('timestep="0.02"', f'timestep="{dt}"'))))

@@ -169,7 +169,7 @@ def test_hitting_a_wall_costs_1000_once(env, step):
     assert along[-2] < 7.65 <= along[-1]
 
 
-def test_flying_past_a_wall_edge_within_a_step_is_a_collision_even_at_the_goal(env, step):
+def test_a_collision_counts_even_at_the_goal(env, step):
     # The goal's circle reaches the wall: at 2 m/s the drone enters it before it hits.
     states = fly(step, begin(env, (5, -2), (7.9, -2)), [AHEAD] * 60)
     assert ending(states[-1]) == ["goal"]

@@ -112,7 +112,18 @@ def test_one_place_as_waypoint_and_goal_takes_two_steps(fly):
 
 def test_a_collision_meets_nothing(fly):
     flown, _ = fly(row(VIA, goal=(0, 0.8), waypoint=(0, -2)), [LEFT - 10] * 10 + [AHEAD] * 20)
+    assert flown.metrics["collision"].any()
     assert not (flown.success & flown.metrics["collision"]).any()
+
+
+def test_a_policy_is_shown_the_objectives_that_it_was_trained_with(scene, task):
+    plain = RoomsTask(scene.vehicle)
+    table = pecjax.COORDINATE_SET_1
+    assert plain.fitted(table) is table
+    reach = task.fitted(table)
+    assert np.all(reach.objective == REACH) and plain.fitted(reach).objective is None
+    with pytest.raises(pecjax.InputError, match="objectives, which this policy was never shown"):
+        plain.fitted(reach.replace(objective=np.full(20, HOLD)))
 
 
 @pytest.mark.parametrize("seed", range(3))

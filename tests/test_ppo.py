@@ -488,6 +488,36 @@ def test_a_sampler_hears_the_mean_advantage_of_every_episode():
     assert max(lengths) > 4 and fell
 
 
+def test_a_sampler_hears_what_the_errors_of_an_episode_come_to():
+    """Of a learner that stands still, with λ = 0: one of the few courses of that length is what was heard."""
+    parts = {
+        "positive_value_loss": lambda error: np.maximum(error, 0),
+        "negative_value_loss": lambda error: np.maximum(-error, 0),
+        "value_loss": np.abs,
+        "maximised_negative_advantage": lambda error: np.maximum(-error, 0),
+    }
+    still = replace(SMALL, num_steps=4, learning_rate=0.0, gae_lambda=0.0, reward_scale=0.5)
+    found = {kind: hear(replace(still, signal=kind), batches=6) for kind in parts}
+    params = found["value_loss"][1].learner.params
+    first, second = np.asarray(forward(ActorCritic(still.network, 2, ()), params, jnp.eye(2))[1], float)
+    pay, discount = still.reward_scale, still.discount
+    stay_first, go_on = 0.1 * pay + (discount - 1) * first, discount * second - first
+    stay_second, leave = -0.1 * pay + (discount - 1) * second, pay - second
+
+    def courses(length):
+        yield [stay_second] * (length - 1) + [leave]
+        for stays in range(length - 1):
+            yield [stay_first] * stays + [go_on] + [stay_second] * (length - 2 - stays) + [leave]
+
+    done, length = (np.concatenate([row[n] for row in found["value_loss"][0]]) for n in (1, 2))
+    heard = {kind: np.concatenate([row[0] for row in rows])[done] for kind, (rows, _) in found.items()}
+    assert max(length[done]) > 4
+    for place, steps in enumerate(length[done]):
+        expected = [[part(np.array(c)).mean() / pay for part in parts.values()] for c in courses(int(steps))]
+        off = np.abs(np.array(expected) - [heard[kind][place] for kind in parts]).max(axis=1)
+        assert off.min() < 1e-5
+
+
 def test_a_sampler_hears_the_mean_value_of_every_episode_in_units_of_the_reward():
     """Of a learner that stands still: an episode of n steps has been in B a whole number of them."""
     still = replace(SMALL, num_steps=4, signal="value", learning_rate=0.0, reward_scale=0.01)

@@ -1,5 +1,6 @@
 """Stopping and going on: bit for bit the training that never stopped, whatever stopped it."""
 
+import itertools
 import json
 import os
 import resource
@@ -7,6 +8,7 @@ import shutil
 import signal
 from dataclasses import replace
 from datetime import datetime, timedelta
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -627,9 +629,38 @@ def test_figures_that_are_not_finite_stop_the_run(tmp_path):
     settings = replace(PPO, agent=replace(PPO.agent, learning_rate=1e30))
     with pytest.raises(DivergedError, match=r"at iteration \d+ not finite: .*parameters.*checkpoint"):
         training.train(settings, tmp_path / "run", devices=2)
-    for path in (tmp_path / "run").rglob("*.npz"):
-        for name, array in arrays(path.parent, path.name).items():
-            assert np.isfinite(array).all() or array.dtype.kind not in "f", (path, name)
+
+
+def test_what_a_run_has_kept_before_it_diverges_is_finite(tmp_path, monkeypatch):
+    begin = training.started
+
+    def started(session):
+        (state, *rest), iterate = begin(session)
+        done = itertools.count(1)
+
+        def spoilt(state):
+            state, metrics = iterate(state)
+            if next(done) < 3:
+                return state, metrics
+            params = jax.tree.map(lambda leaf: leaf * np.nan, state.learner.params)
+            finite = metrics.finite | {"parameters": np.array(False)}
+            learner = state.learner._replace(params=params)
+            return state._replace(learner=learner), metrics._replace(finite=finite)
+
+        return loop.Position(state, *rest), spoilt
+
+    monkeypatch.setattr(training, "started", started)
+    folder = tmp_path / "run"
+    with pytest.raises(
+        DivergedError, match=r"at iteration 3 not finite: parameters; iteration 2 is the last"
+    ):
+        training.train(PPO, folder, devices=1)
+    kept = sorted(str(path.relative_to(folder)) for path in folder.rglob("*.npz"))
+    assert {"checkpoints/2.npz", "states/2.npz", "episodes/2.npz"} <= set(kept)
+    assert not [name for name in kept if name.endswith("/3.npz")]
+    for name in kept:
+        for part, array in arrays(folder / Path(name).parent, Path(name).name).items():
+            assert array.dtype.kind not in "f" or np.isfinite(array).all(), (name, part)
 
 
 def test_options_beside_resume(whole):

@@ -325,7 +325,8 @@ def test_what_cannot_be_is_refused_in_one_line(make, words):
 
 
 @pytest.mark.parametrize(
-    "name", ["forgetting", "failure_ema", "learnability", "pass_at_n", "learning_progress"]
+    "name",
+    ["forgetting", "failure_ema", "learnability", "pass_at_n", "learning_progress", "plr", "thompson"],
 )
 def test_what_is_learned_of_a_few_of_many_is_what_is_learned_of_all(name):
     """Of a large table only what is in the batch is worked out; more ids than configurations ask for all."""
@@ -334,11 +335,13 @@ def test_what_is_learned_of_a_few_of_many_is_what_is_learned_of_all(name):
     few = many = sampler.init()
     for _ in range(4):
         ids, failed, done = draw.integers(0, number, 9), draw.random(9) < 0.5, draw.random(9) < 0.8
-        few = sampler.update(few, c.Outcomes(ids, done, failed))
-        padding = np.zeros(number, int)
-        padded = (np.append(part, padding) for part in (ids, done, failed))
-        many = sampler.update(many, c.Outcomes(*padded))
-    for one, other in zip(jax.tree.leaves(few), jax.tree.leaves(many), strict=True):
+        signal = draw.random(9)
+        few = sampler.update(few, c.Outcomes(ids, done, failed, signal=signal))
+        *padded, signal = (np.append(part, np.zeros(number, int)) for part in (ids, done, failed, signal))
+        many = sampler.update(many, c.Outcomes(*padded, signal=signal))
+    learned = [state.statistics.memory if name == "thompson" else state for state in (few, many)]
+    assert np.any(jax.tree.leaves(learned[0])[0])
+    for one, other in zip(*map(jax.tree.leaves, learned), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-6)
 
 

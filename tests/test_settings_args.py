@@ -165,6 +165,7 @@ def test_the_numbers_are_those_of_the_agent_and_the_task_that_are_named(monkeypa
         ),
         (["train", "--agent", "apex", "--agent.batch-size", "0"], "batch-size and shards must each be 1"),
         (["study", "--alphas", "-1"], "alpha is -1"),
+        (["study", "fig14", "--samplers", "pec", "plr"], "signal is None; the sampler needs it"),
         (["train", "--agent.clip-epsilon", "nan"], "clip-epsilon is nan"),
         (["train", "--stop.iterations", "0"], "iterations is 0"),
         (

@@ -8,6 +8,7 @@ import pytest
 from jax import numpy as jnp
 
 import pecjax
+from pecjax.cli import main
 from pecjax.envs.axes import make_table
 from pecjax.envs.rooms.clearance import wall_distance
 from pecjax.envs.rooms.config import VIA
@@ -381,6 +382,29 @@ def test_a_drone_of_ones_own_flies_in_a_space(rooms, edited_rooms, tmp_path):
     wide = edited_rooms(('name="drone" type="sphere" size="0.25"', 'name="drone" type="sphere" size="0.3"'))
     with pytest.raises(pecjax.InputError, match=r"radius of 0.3 m; the maps of space"):
         Rooms(space=str(tmp_path / "mapped.npz"), maps=(str(wide),)).make()
+
+
+def test_spaces_are_listed_described_checked_and_drawn(tmp_path, capsys):
+    assert main(["spaces"]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in listed] == [*catalogue.RECIPES]
+    assert main(["spaces", "paper-1", "--check", "--out", str(tmp_path / "drawn")]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(f"paper-1 {catalogue.RECIPES['paper-1'].version}: ") and "made anew it is" in out
+    assert "  train: 20 configurations\n" in out and "  held-out: 308 configurations\n" in out
+    assert {path.name for path in tmp_path.iterdir()} == {"drawn.pdf", "drawn.png"}
+    assert main(["spaces", "--check"]) == 2
+    assert "--check and --out are of one space; give its name" in capsys.readouterr().err
+
+
+def test_a_space_that_is_made_otherwise_today_is_told(tmp_path, capsys):
+    former = small_space(name="paper-1")
+    write_space(tmp_path / "former.npz", former)
+    assert main(["spaces", str(tmp_path / "former.npz"), "--check"]) == 2
+    said = (
+        f"version {former.version}, and this version of pecjax makes {catalogue.RECIPES['paper-1'].version}"
+    )
+    assert said in capsys.readouterr().err
 
 
 def test_a_space_is_put_in_place_whole(cache):

@@ -180,7 +180,7 @@ def test_a_map_that_is_a_link_includes_what_lies_beside_the_link(edited_rooms, t
 def test_a_map_that_includes_itself(edited_rooms, tmp_path):
     path = tmp_path / "map.xml"
     path.write_text(edited_rooms(("<worldbody>", '<include file="map.xml"/><worldbody>')).read_text())
-    with pytest.raises(pecjax.InputError):
+    with pytest.raises(pecjax.InputError, match="include"):
         load_scene(path)
 
 
@@ -212,10 +212,10 @@ def test_a_map_that_includes_itself(edited_rooms, tmp_path):
     ],
 )
 def test_absurd_amounts_are_refused_at_once(replacement, words, edited_rooms):
-    started = time.monotonic()
+    started = time.process_time()
     with pytest.raises(pecjax.InputError, match=words):
         load_scene(edited_rooms(replacement))
-    assert time.monotonic() - started < 20
+    assert time.process_time() - started < 20
 
 
 def test_a_map_too_large_to_look_for_paths_on(edited_rooms, tmp_path):

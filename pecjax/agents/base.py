@@ -97,6 +97,11 @@ class AgentSettings(abc.ABC):
         return "environments"
 
     @property
+    def gives_signal(self) -> bool:
+        """Whether its episodes have a signal (see `Outcomes`), which some samplers need."""
+        return False
+
+    @property
     def memory_bytes(self) -> int:
         """What an iteration holds of the network's memory."""
         return 0

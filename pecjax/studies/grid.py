@@ -16,6 +16,7 @@ from pecjax.envs.task import TaskSettings
 from pecjax.errors import InputError
 from pecjax.storage.files import exact_text
 from pecjax.storage.tables import Row
+from pecjax.training.contracts import check_signal
 from pecjax.training.kinds import kind_name
 from pecjax.training.settings import RunSettings, check_settings, override
 
@@ -98,7 +99,7 @@ class StudySettings:
         for values in self._combinations():
             spec = RunSpec(0, values)
             settings = self.settings_of(spec)
-            _check_numbers(self.numbers([spec]), settings, num_configs[settings.task])
+            _check_sampler(self.numbers([spec]), settings, num_configs[settings.task])
 
     def _check_paths(self) -> None:
         paths = [path for path, _ in self.grid]
@@ -209,9 +210,10 @@ def _is_number(path: str, value: Any) -> bool:
     return path.startswith("sampler.") and isinstance(value, float)
 
 
-def _check_numbers(varied: Mapping[str, Sequence[float]], settings: RunSettings, num_configs: int) -> None:
-    """Makes sure that the sampler's state has the numbers that a study varies in it."""
+def _check_sampler(varied: Mapping[str, Sequence[float]], settings: RunSettings, num_configs: int) -> None:
+    """Makes sure that the sampler suits the agent, and that its state has the numbers that a study varies."""
     sampler = settings.sampler.make(num_configs)
+    check_signal(settings.agent, sampler)
     try:
         jax.eval_shape(lambda: sampler.init(**{name: values[0] for name, values in varied.items()}))
     except TypeError as error:

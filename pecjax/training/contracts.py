@@ -12,6 +12,7 @@ from typing import Any, get_args
 import jax
 import jax.numpy as jnp
 
+from pecjax.agents import AgentSettings
 from pecjax.curriculum import Outcomes, Sampler
 from pecjax.envs.spaces import Box
 from pecjax.envs.task import Reduction, Task, Transition, World, num_configs, take_configs
@@ -29,17 +30,28 @@ _BATCH = 3  # outcomes and draws that a sampler is tried with
 
 
 def check_contracts(settings: RunSettings, task: Task, world: World, sampler: Sampler) -> None:
-    """Checks the task and the sampler, where they are of the user's own.
+    """Checks the task and the sampler where they are of the user's own, and that the agent suits the latter.
 
     Those of pecjax are held to the same by its tests, and tracing the rooms would take a second.
 
     Raises:
-        InputError: see `check_task` and `check_sampler`.
+        InputError: see `check_task`, `check_sampler` and `check_signal`.
     """
     if not _is_ours(settings.task):
         check_task(task, world)
     if not _is_ours(settings.sampler):
         check_sampler(sampler, address(type(settings.sampler)), num_configs(world.table))
+    check_signal(settings.agent, sampler)
+
+
+def check_signal(agent: AgentSettings, sampler: Sampler) -> None:
+    """Makes sure that the sampler can do without a signal where the agent gives none.
+
+    Raises:
+        InputError: it cannot.
+    """
+    if not agent.gives_signal:
+        jax.eval_shape(sampler.update, jax.eval_shape(sampler.init), _outcomes()._replace(signal=None))
 
 
 def _is_ours(tree: Any) -> bool:
@@ -106,16 +118,19 @@ def check_sampler(sampler: Sampler, name: str, num_configs: int) -> None:
     Raises:
         InputError: the first thing that it does not.
     """
-    flags, number = jnp.zeros(_BATCH, bool), jnp.zeros(_BATCH)
-    outcomes = Outcomes(jnp.zeros(_BATCH, jnp.int32), flags, flags, flags.astype(jnp.int32), number, number)
     key = jax.eval_shape(lambda: jax.random.key(0))
     state = jax.eval_shape(sampler.init)
     ids = jax.eval_shape(lambda state, key: sampler.sample(state, key, (_BATCH,)), state, key)
     _expect(f"{name}: sample", ids, _array((_BATCH,), jnp.int32), "Sampler.sample of that shape")
     weights = jax.eval_shape(sampler.probabilities, state)
     _expect(f"{name}: probabilities", weights, _array((num_configs,)), "N configurations")
-    after = jax.eval_shape(sampler.update, state, outcomes)
+    after = jax.eval_shape(sampler.update, state, _outcomes())
     _expect(f"{name}: the state after update", after, state, "the state of init")
+
+
+def _outcomes() -> Outcomes:
+    flags, number = jnp.zeros(_BATCH, bool), jnp.zeros(_BATCH)
+    return Outcomes(jnp.zeros(_BATCH, jnp.int32), flags, flags, flags.astype(jnp.int32), number, number)
 
 
 def _array(shape: tuple[int, ...], dtype: Any = jnp.float32) -> jax.ShapeDtypeStruct:

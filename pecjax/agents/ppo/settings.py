@@ -94,6 +94,11 @@ class PPO(AgentSettings):
         return "environments of each minibatch" if self.has_memory else "environments"
 
     @property
+    def gives_signal(self) -> bool:
+        """See `AgentSettings`."""
+        return True
+
+    @property
     def memory_bytes(self) -> int:
         """The memory of every environment, and that before each sequence, which is in minibatches too."""
         sequences = self.num_steps // self.steps_of_a_sequence
