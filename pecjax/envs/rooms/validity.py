@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -56,7 +56,7 @@ def check_configurations(
         raise InputError(f"{source or 'the table'}: waypoints without objectives; add a column objective")
 
     def name(row: int) -> str:
-        return row_name(source, row, type(table))
+        return row_name(source, int(row), type(table))
 
     for row in _first(leads_to_waypoint(table)) if table.waypoint is None else []:
         raise InputError(
@@ -66,7 +66,7 @@ def check_configurations(
     for row in _first((map_id < 0) | (map_id >= len(maps))):
         raise InputError(f"{name(row)}: there is no map {map_id[row]}; the maps are 0 to {len(maps) - 1}")
     for number in np.unique(map_id):
-        _check_in_map(maps[number], table, np.flatnonzero(map_id == number), radius, flight_height, source)
+        _check_in_map(maps[number], table, np.flatnonzero(map_id == number), radius, flight_height, name)
 
 
 def _check_in_map(
@@ -75,7 +75,7 @@ def _check_in_map(
     chosen: np.ndarray,
     radius: float,
     flight_height: float,
-    source: str | Path | None,
+    name: Callable[[int], str],
 ) -> None:
     """`check_configurations` of the rows that fly in one map."""
     start, goal = np.asarray(table.start)[chosen], np.asarray(table.goal)[chosen]
@@ -84,22 +84,19 @@ def _check_in_map(
     waypoint = goal if table.waypoint is None else np.where(passed[:, None], table.waypoint[chosen], goal)
     low, high = one.bounds
 
-    def name(row: int) -> str:
-        return row_name(source, int(chosen[row]), type(table))
-
     for role, points in (("start", start), ("goal", goal), ("waypoint", waypoint)):
         for row in _first(np.any((points < low) | (points > high), axis=1)):
-            raise InputError(f"{name(row)}: {role} {_at(points[row])} lies outside the map; move it")
+            raise InputError(f"{name(chosen[row])}: {role} {_at(points[row])} lies outside the map; move it")
         heights = np.full((len(points), 1), flight_height, points.dtype)
         gaps = np.asarray(_distances(one, np.hstack([points, heights])))
         for row in _first(gaps <= radius):
             where = "inside a wall" if gaps[row] == 0 else f"{gaps[row]:.2f} m from a wall"
             raise InputError(
-                f"{name(row)}: {role} {_at(points[row])} lies {where}; keep it "
+                f"{name(chosen[row])}: {role} {_at(points[row])} lies {where}; keep it "
                 f"more than {radius:g} m, the drone's radius, away"
             )
     for row in _first(np.all(start == goal, axis=1) & ~passed):
-        raise InputError(f"{name(row)}: start and goal are both {_at(start[row])}; move one")
+        raise InputError(f"{name(chosen[row])}: start and goal are both {_at(start[row])}; move one")
     regions, origin = free_regions(one, radius, flight_height)
     from_start = regions_at(regions, origin, start)
     for points in (waypoint, goal):
@@ -107,7 +104,7 @@ def _check_in_map(
         meet = (from_start[:, :, None] == there[:, None, :]) & (from_start[:, :, None] > 0)
         for row in _first(~meet.any(axis=(1, 2))):
             raise InputError(
-                f"{name(row)}: no path of {2 * radius:g} m width leads from "
+                f"{name(chosen[row])}: no path of {2 * radius:g} m width leads from "
                 f"{_at(start[row])} to {_at(points[row])}; widen a door or move a point"
             )
 
