@@ -11,10 +11,13 @@ from synthetic import study_settings, write_study
 
 from pecjax import InputError, cli
 from pecjax.storage import files
+from pecjax.studies.comparison import holm
 from pecjax.studies.directory import StudyDirectory
+from pecjax.studies.measures import group_columns, paired, summary
 from pecjax.studies.report import markdown_report, write_report
 
 STORED = sorted((Path(__file__).parents[1] / "docs" / "results" / "paper").glob("*"))
+LONGTAIL = [STORED[0].parents[1] / name for name in ("longtail-alpha", "longtail-forgetting")]
 REPORT = ("results.csv", "runs.csv", "summary.csv", "paired.csv", "report.md")
 PEC = "pec, α = 0.2"
 
@@ -126,6 +129,23 @@ def test_stored_studies_have_the_tables_of_their_batches(stored, tmp_path):
     write_report(tmp_path)
     for name in REPORT:
         assert (tmp_path / name).read_bytes() == (stored / name).read_bytes()
+
+
+@pytest.mark.parametrize("stored", LONGTAIL, ids=lambda folder: folder.name)
+def test_studies_that_are_stored_without_batches_have_the_report_of_their_runs(stored):
+    runs = pd.read_csv(stored / "runs.csv", dtype={"coordinates": str})
+    text = markdown_report([*summary(runs)], [*paired(runs)], group_columns(runs))
+    assert text == (stored / "report.md").read_text()
+
+
+def test_what_the_page_says_of_alpha_and_forgetting_is_what_the_stored_studies_have():
+    tables = [pd.read_csv(folder / "paired.csv") for folder in LONGTAIL]
+    found = pd.concat(tables).query("measure == 'goal_ratio.hard'")
+    page = " ".join((STORED[0].parents[2] / "benchmark.md").read_text().split())
+    assert list(found.baseline.unique()) == [PEC] and len(found) == 4
+    for row, corrected in zip(found.itertuples(), holm(found.p.to_numpy()), strict=True):
+        value = f"{row.difference:+.2f} [{row.difference_low:+.2f}, {row.difference_high:+.2f}]"
+        assert f"| {row.condition} | {value} | {row.better} of 10 | {row.p:.2g} | {corrected:.2g} |" in page
 
 
 def test_what_the_page_says_of_the_hint_is_what_the_stored_study_has():
