@@ -90,7 +90,7 @@ def test_mujoco_draws_where_there_is_opengl(opengl, empty_folder):
         assert done.returncode == 2 and "MuJoCo cannot draw here (no OpenGL)" in done.stderr
         assert not [*empty_folder.iterdir()]
         if opengl != "disabled":
-            pytest.skip("no OSMesa here")
+            pytest.skip("no OSMesa here, which no package of Python brings along; see docs/watching.md")
         return
     assert done.returncode == 0, done.stderr
     recording, _ = read_recording(find_run(Path("demo-set-1")), 2)

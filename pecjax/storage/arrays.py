@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import tokenize
 import zipfile
 import zlib
@@ -23,6 +22,7 @@ import numpy as np
 from pecjax.errors import InputError
 from pecjax.runtime.distributed import is_primary, on_host
 from pecjax.settings_tree import differences
+from pecjax.storage.files import replacing
 
 
 class CorruptFileError(Exception):
@@ -63,13 +63,8 @@ def write_arrays(path: Path, tree: Any, about: dict[str, Any] | None = None) -> 
     path.parent.mkdir(exist_ok=True)
     new = path.with_name(f".{path.name}")
     save: Any = np.savez  # whose own arguments no place in a tree is named like
-    try:
-        with new.open("wb") as file:
-            save(file, **arrays)
-        os.replace(new, path)
-    except OSError:
-        new.unlink(missing_ok=True)  # on a full disk it would take the room that is wanted
-        raise
+    with replacing(path, new), new.open("wb") as file:
+        save(file, **arrays)
 
 
 def by_iteration(folder: Path, iteration: int) -> Path:

@@ -54,8 +54,15 @@ def read_settings(path: Path, kind: type[Settings], what: str, today: Callable[[
 def replace_file(path: Path, content: str | bytes) -> None:
     """Puts a whole file in place of another: whoever reads sees the old or the new one."""
     new = path.with_name(f".{path.name}.new")
-    try:
+    with replacing(path, new):
         new.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+@contextlib.contextmanager
+def replacing(path: Path, new: Path) -> Iterator[None]:
+    """Where `new` is written; it then takes the place of `path` at once, or is removed if that fails."""
+    try:
+        yield
         os.replace(new, path)
     except OSError:
         new.unlink(missing_ok=True)  # on a full disk it would take the room that is wanted

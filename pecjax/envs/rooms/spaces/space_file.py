@@ -18,7 +18,7 @@ from pecjax.envs.rooms.spaces.catalogue import find_recipe, make_space
 from pecjax.envs.rooms.spaces.space import SPLITS, Part, Space, arrays_of, check_held_out
 from pecjax.errors import InputError
 from pecjax.storage.arrays import read_plain_arrays
-from pecjax.storage.files import writing
+from pecjax.storage.files import replacing, writing
 
 SUFFIX = ".npz"
 
@@ -40,13 +40,8 @@ def write_space(path: Path, space: Space) -> None:
     new = path.with_name(f".{os.getpid()}-{path.name}")
     with writing(path, "choose another place"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with new.open("wb") as file:
-                save(file, **arrays)
-            os.replace(new, path)
-        except OSError:
-            new.unlink(missing_ok=True)  # on a full disk it would take the room that is wanted
-            raise
+        with replacing(path, new), new.open("wb") as file:
+            save(file, **arrays)
 
 
 def read_space(path: Path) -> Space:
