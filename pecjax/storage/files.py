@@ -60,13 +60,12 @@ def replace_file(path: Path, content: str | bytes) -> None:
 
 @contextlib.contextmanager
 def replacing(path: Path, new: Path) -> Iterator[None]:
-    """Where `new` is written; it then takes the place of `path` at once, or is removed if that fails."""
+    """Where `new` is written; it then takes the place of `path` at once, or is removed if anything fails."""
     try:
         yield
         os.replace(new, path)
-    except OSError:
+    finally:
         new.unlink(missing_ok=True)  # on a full disk it would take the room that is wanted
-        raise
 
 
 @contextlib.contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -32,14 +31,10 @@ def write_movie(path: Path, frames: Iterator[np.ndarray], period: float) -> None
     """
     write = _write_gif if path.suffix == ".gif" else _write_mp4
     new = path.with_name(f".new.{path.name}")
-    try:
-        with files.writing(path, "give another place"):
-            path.parent.mkdir(parents=True, exist_ok=True)
+    with files.writing(path, "give another place"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with files.replacing(path, new):
             write(new, frames, period)
-            os.replace(new, path)
-    finally:
-        if new.exists():
-            new.unlink()
 
 
 def _write_gif(path: Path, frames: Iterator[np.ndarray], period: float) -> None:
