@@ -69,14 +69,14 @@ def run(name: str, space: str, seed: int, settings: dict[str, Any], limit: float
     from pecjax.agents import device_mesh
     from pecjax.envs.rooms import Rooms
     from pecjax.runtime.devices import use_all_cores
-    from pecjax.training.build import everywhere, for_evaluation
+    from pecjax.training.build import everywhere, on_devices
     from pecjax.training.evaluation import make_evaluator
 
     use_all_cores()
     rooms = Rooms(table=space) if space in ("1", "2") else Rooms(space=space)
     task, world = rooms.make()
     mesh = device_mesh(len(jax.devices()))
-    world = for_evaluation(everywhere(world, mesh), rooms.eval_set(world), mesh)
+    _, world = on_devices(world, rooms.eval_set(world), mesh)
     act, training = RACERS[name](settings, rooms, seed)
     agent: Any = SimpleNamespace(
         policy=lambda params, greedy: lambda obs, key: act(params, obs, key), first_memory=None
