@@ -179,10 +179,12 @@ def main() -> None:
             print(f"\n{space} to {threshold}: median seconds of training, with all since the start, steps")
             for name in args.racers:
                 of = [r["reached"].get(threshold) for r in rows if (r["racer"], r["space"]) == (name, space)]
-                there = [one for one in of if one]
-                figures = [statistics.median(one[k] for one in there) for k in ("training", "whole", "steps")]
-                told = "{:8.1f} {:8.1f} {:12,.0f}".format(*figures) if there else " " * 30
-                print(f"  {name:10} {told}   {len(there)} of {len(of)} reached it", flush=True)
+                figures = [
+                    statistics.median(one[kind] if one else float("inf") for one in of)
+                    for kind in ("training", "whole", "steps")
+                ]
+                told = "{:8.1f} {:8.1f} {:12,.0f}".format(*figures)
+                print(f"  {name:10} {told}   {sum(map(bool, of))} of {len(of)} reached it", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """The picture of memory.md, from a table of all evaluations of its runs.
 
     python docs/memory_pictures.py                  # into docs/images/results; prints how the runs ended
-    python docs/memory_pictures.py --runs FOLDER    # the table first, from FOLDER/NETWORK-SEED
+    python docs/memory_pictures.py --runs FOLDER    # first puts runs of FOLDER/NETWORK-SEED into the table
 
-NETWORK is one of `NETWORKS`.
+NETWORK is one of `NETWORKS`. A run takes the place of that of the same network and seed.
 """
 
 from __future__ import annotations
@@ -61,11 +61,25 @@ def collect(folder: Path) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
+def joined(table: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:
+    """The table with new runs, in the order of `NETWORKS`."""
+    run = ["network", "seed"]
+    kept = table[~table.set_index(run).index.isin(new.set_index(run).index)]
+    return pd.concat([kept, new]).sort_values(
+        ["network", "seed", "iteration"], key=_in_order, ignore_index=True
+    )
+
+
 def ends(table: pd.DataFrame, column: str = "goal_ratio", last: int = 3) -> pd.DataFrame:
     """The mean of each run's last evaluations within the budget, a row a seed and a column a network."""
     budget = table.network.map({name: seconds for name, (_, seconds) in NETWORKS.items()})
     of_run = table[table.seconds <= budget].groupby(["seed", "network"])[column]
     return of_run.apply(lambda values: values.tail(last).mean()).unstack()
+
+
+def _in_order(column: pd.Series) -> pd.Series:
+    names = list(NETWORKS)
+    return column.map(names.index) if column.name == "network" else column
 
 
 def curves(table: pd.DataFrame) -> Figure:
@@ -94,7 +108,7 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=HERE / "images" / "results")
     given = parser.parse_args(words)
     if given.runs is not None:
-        collect(given.runs).to_csv(TABLE, index=False)
+        joined(pd.read_csv(TABLE), collect(given.runs)).to_csv(TABLE, index=False)
     table = pd.read_csv(TABLE)
     reached = ends(table)
     print(reached.round(3).to_string())

@@ -1,6 +1,7 @@
 """The one-way flow between the layers, and what importing the package does and offers."""
 
 import ast
+import importlib.util
 import json
 import statistics
 import subprocess
@@ -81,6 +82,23 @@ def test_benchmarks_use_what_is_there():
     assert {"bounds", "failure_counts", "learning", "paired", "race", "throughput"} <= set(
         found.stdout.split()
     )
+
+
+def test_scripts_name_what_is_there():
+    """What benchmarks and scripts of the docs take from pecjax, within functions, too."""
+    scripts = [path for folder in ("benchmarks", "docs") for path in sorted((ROOT / folder).glob("*.py"))]
+    taken = [
+        (path.name, part.module, name.name)
+        for path in scripts
+        for part in ast.walk(ast.parse(path.read_text()))
+        if isinstance(part, ast.ImportFrom) and (part.module or "").startswith("pecjax")
+        for name in part.names
+    ]
+    assert any(script == "race.py" and name == "on_devices" for script, _, name in taken)
+    for script, module, name in taken:
+        assert hasattr(importlib.import_module(module), name) or importlib.util.find_spec(
+            f"{module}.{name}"
+        ), f"{script}: {module}.{name}"
 
 
 def test_files_are_short():

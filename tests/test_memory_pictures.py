@@ -49,3 +49,16 @@ def test_runs_are_collected_with_their_seconds(tmp_path):
     assert found.network.tolist() == ["mingru"] * 2 and found.seed.tolist() == [7, 7]
     assert found.seconds.tolist() == [2.5, 7.5] and found.goal_ratio.tolist() == [0.25, 0.75]
     assert pictures.ends(found).loc[7, "mingru"] == 0.5
+
+
+def test_a_run_takes_the_place_of_its_former_self():
+    columns = ["network", "seed", "iteration", "goal_ratio"]
+    table = pd.DataFrame(
+        [["mlp", 0, 1, 0.1], ["mingru", 0, 1, 0.2], ["mingru", 0, 2, 0.3], ["mingru", 1, 1, 0.4]],
+        columns=columns,
+    )
+    new = pd.DataFrame([["mlp", 1, 1, 0.5], ["mingru", 0, 1, 0.6]], columns=columns)
+    found = pictures.joined(table, new)
+    assert found.values.tolist() == [
+        ["mlp", 0, 1, 0.1], ["mlp", 1, 1, 0.5], ["mingru", 0, 1, 0.6], ["mingru", 1, 1, 0.4]
+    ]  # fmt: skip

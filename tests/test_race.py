@@ -1,0 +1,43 @@
+"""benchmarks/race.py: racers that need nobody else's code train for a stretch and are looked at."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+
+FILE = Path(__file__).parents[1] / "benchmarks" / "race.py"
+SPEC = importlib.util.spec_from_file_location("race", FILE)
+race = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(race)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("racer", ["pecjax", "apex", "purejax"])
+def test_a_racer_runs(racer):
+    settings = race.settings_of(racer, {})
+    found = race.in_process(racer, "1", 0, settings, limit=0)
+    assert found["steps"] == 131_072 and found["reached"] == {}
+    assert 0 < found["last"] < 0.95
+    assert found["training"] > 0
+
+
+def test_what_did_not_arrive_is_last(monkeypatch, capsys, tmp_path):
+    """A median over seeds counts a run that reached no threshold as one that took for ever."""
+
+    def run(name, space, seed, *others):
+        seconds = {"pecjax": (1.0, 3.0, 2.0), "purejax": (4.0, None, None)}[name][seed]
+        there = {"training": seconds, "whole": seconds, "steps": 100}
+        return {"reached": {} if seconds is None else {"0.95": there, "0.97": there}}
+
+    best = tmp_path / "best.json"
+    best.write_text(json.dumps({name: {"settings": {}} for name in ("pecjax", "purejax")}))
+    monkeypatch.setattr(race, "in_process", run)
+    asked = ["--racers", "pecjax", "purejax", "--spaces", "1", "--best", str(best)]
+    monkeypatch.setattr("sys.argv", ["race.py", *asked, "--out", str(tmp_path / "race.json")])
+    race.main()
+    lines = [line.split() for line in capsys.readouterr().out.splitlines() if "reached it" in line]
+    assert [line[:5] for line in lines[:2]] == [
+        ["pecjax", "2.0", "2.0", "100", "3"], ["purejax", "inf", "inf", "inf", "1"]
+    ]  # fmt: skip
+    assert len(json.loads((tmp_path / "race.json").read_text())) == 6
