@@ -143,6 +143,10 @@ class TaskSettings(abc.ABC):
             InputError: anything that a user can put right.
         """
 
+    def for_training(self, world: World) -> World:
+        """The world with what only training needs, such as what critics are told of."""
+        return world
+
     def eval_set(self, world: World) -> EvalSet:
         """What its policies are evaluated in: all of the world's configurations, unless it says otherwise."""
         return EvalSet(world.table)

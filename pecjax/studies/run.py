@@ -39,7 +39,10 @@ def run_study(settings: StudySettings, folder: Path, notice: str | None = None) 
     settings.check()
     batches = settings.batches()
     tasks = dict.fromkeys(settings.settings_of(spec).task for specs in batches for spec in specs)
-    worlds = {task: task.make() for task in tasks}
+    worlds = {}
+    for task in tasks:
+        made, world = task.make()
+        worlds[task] = made, task.for_training(world)
     settings.check_samplers({task: num_configs(world.table) for task, (_, world) in worlds.items()})
     directory = StudyDirectory(folder)
     runs = sum(map(len, batches))

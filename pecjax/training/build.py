@@ -49,8 +49,8 @@ def build(settings: RunSettings, num_devices: int, *, trains: bool = True) -> Ru
     """Puts task, sampler and agent together, spread over devices.
 
     Args:
-        trains: makes sure that memory can hold replay and observations; a policy that is only flown
-            needs neither.
+        trains: gets the world ready for it, and makes sure that memory can hold replay and observations;
+            a policy that is only flown needs none of that.
 
     Raises:
         InputError: settings are out of range or do not fit one another, the world is wrong, or memory
@@ -58,6 +58,8 @@ def build(settings: RunSettings, num_devices: int, *, trains: bool = True) -> Ru
     """
     check_settings(settings)
     task, world = settings.task.make()
+    if trains:
+        world = settings.task.for_training(world)
     sampler = settings.sampler.make(num_configs(world.table))
     check_contracts(settings, task, world, sampler)
     mesh = device_mesh(num_devices)

@@ -10,7 +10,11 @@ from pecjax.envs.rooms.sensing import DISTANCE_SCALE
 from pecjax.envs.spaces import Box
 
 SPEED_SCALE = 2.0  # m/s, the highest speed that is asked for
-SPACE = Box((11,))
+
+
+def space(with_path: bool) -> Box:
+    """Of `drone_numbers`, and of the three of `path_fields.path_from` where critics are told of paths."""
+    return Box((14 if with_path else 11,))
 
 
 def drone_numbers(

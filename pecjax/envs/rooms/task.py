@@ -18,6 +18,8 @@ from pecjax.envs.rooms.controller import Command
 from pecjax.envs.rooms.flight import Conditions, DroneState, fly, hover
 from pecjax.envs.rooms.maps import MapBank, pick
 from pecjax.envs.rooms.objectives import advance, first_progress, is_holding, one_hot, target
+from pecjax.envs.rooms.path_fields import PathFields, path_from
+from pecjax.envs.rooms.rotations import heading
 from pecjax.envs.rooms.rules import NavigationSettings, physics_steps
 from pecjax.envs.rooms.sensing import scale, sense
 from pecjax.envs.rooms.vehicle import Vehicle
@@ -35,9 +37,11 @@ class RoomsParams(NamedTuple):
 
     Attributes:
         bank: the maps.
+        paths: to the goals, where a critic is told of them; None in evaluations.
     """
 
     bank: MapBank
+    paths: PathFields | None = None
 
 
 class RoomsState(NamedTuple):
@@ -82,13 +86,15 @@ class RoomsTask(Task):
         *,
         objectives: bool = False,
         one_map: bool = True,
+        critic_paths: bool = False,
     ) -> None:
         """Puts drone and rules together.
 
         Args:
             objectives: whether its configurations have that axis.
             one_map: whether all its episodes share one map. Then the drone's place tells a critic where the
-                walls are, and it needs no image; otherwise critics are told nothing.
+                walls are; otherwise critics are told nothing, unless it is of paths.
+            critic_paths: whether critics are told of the shortest path to the goal, too.
 
         Raises:
             InputError: a control period that is no multiple of the physics step, negative drag, or gusts
@@ -103,7 +109,8 @@ class RoomsTask(Task):
             "depth": Box((camera.height, camera.width), camera.near / camera.far, 1.0),
             "goal": Box((3,)),
         } | ({"objective": Box((len(OBJECTIVES),), 0.0, 1.0)} if objectives else {})
-        self.privileged_space = privileged.SPACE if one_map else None
+        self.privileged_space = privileged.space(critic_paths) if one_map or critic_paths else None
+        self.critic_paths = critic_paths
         self.action_space = Discrete(len(SPEEDS) * len(YAW_RATES))
         self.max_steps = settings.max_steps
 
@@ -202,10 +209,17 @@ class RoomsTask(Task):
         return seen if state.progress is None else seen | {"objective": one_hot(state.config)}
 
     def privileged(self, state: RoomsState, params: RoomsParams) -> jax.Array:
-        """See `privileged.drone_numbers`."""
+        """See `privileged.drone_numbers`; then the path (see `path_from`) where critics are told of it."""
         settings = self.settings
         late, idle = state.step_count / settings.max_steps, state.hover_count / max(settings.hover_limit, 1)
-        return privileged.drone_numbers(state.qpos, state.qvel, settings.flight_height, late, idle)
+        numbers = privileged.drone_numbers(state.qpos, state.qvel, settings.flight_height, late, idle)
+        if not self.critic_paths:
+            return numbers
+        if params.paths is None:
+            raise ValueError("critics are told of paths, and the world has none; see `Rooms.for_training`")
+        where = target(state.config, state.progress)
+        path = path_from(params.paths, state.config.map_id, where, state.qpos[:2], heading(state.qpos[3:]))
+        return jnp.concatenate([numbers, path])
 
     def fitted(self, table: Configurations) -> Configurations:
         """The table, with objectives if they are seen.

@@ -1,0 +1,143 @@
+"""Path fields: how far it is to a goal, and which way, from everywhere in a map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pecjax.envs.rooms.clearance_grid import make_grid
+from pecjax.envs.rooms.config import Configurations, leads_to_waypoint
+from pecjax.envs.rooms.geodesics import Paths, find_paths, free_clearance, search
+from pecjax.envs.rooms.maps import FAR_AWAY, MapBank
+from pecjax.envs.rooms.sensing import DISTANCE_SCALE
+from pecjax.errors import InputError
+
+CELL = 0.2  # m
+AHEAD = 5  # cells of a path: where it leads to, seen from where the drone is
+MOST_GOALS = 100  # of one map: each is compared in every step, and takes some 10 ms beforehand
+_UNIT = 0.25  # m, of the lengths
+_TURN = 256  # of the bearings
+
+
+class PathFields(NamedTuple):
+    """Shortest paths to up to K goals in each of M maps, on grids of `CELL`.
+
+    Attributes:
+        goal: (M, K, 2) m, far away where a map has fewer than K.
+        bearing: (M, K, X, Y) int8, the direction in which a path goes on, in 1/256 of a turn.
+        length: (M, K, X, Y) uint8, of the path, in steps of 0.25 m, 255 where there are more.
+        origin: (M, 2) m, of the grids.
+    """
+
+    goal: Any
+    bearing: Any
+    length: Any
+    origin: Any
+
+
+def path_from(
+    fields: PathFields, map_id: jax.Array, goal: jax.Array, place: jax.Array, heading: jax.Array
+) -> jax.Array:
+    """The path's length, and the sine and cosine of its direction off the heading, (3,), scaled.
+
+    Args:
+        goal, place: (2,) m; the goal is one of the map's.
+        heading: () rad.
+    """
+    number = jnp.argmin(jnp.sum((fields.goal[map_id] - goal) ** 2, axis=-1))
+    cell = jnp.round((place - fields.origin[map_id]) / CELL).astype(jnp.int32)
+    at = (map_id, number, *jnp.clip(cell, 0, np.array(fields.bearing.shape[2:]) - 1))
+    turn = fields.bearing[at] * (2 * jnp.pi / _TURN) - heading
+    return jnp.stack([fields.length[at] * (_UNIT / DISTANCE_SCALE), jnp.sin(turn), jnp.cos(turn)])
+
+
+def make_path_fields(
+    bank: MapBank, tables: Sequence[Configurations], *, radius: float, flight_height: float
+) -> PathFields:
+    """The fields of all goals and waypoints of the tables; those of 10,000 maps take about a minute.
+
+    Args:
+        radius, flight_height: m, of the drone.
+
+    Raises:
+        InputError: a map of too many goals, or of too many cells.
+    """
+    goals = [
+        np.zeros((0, 2)) if not len(rows) else np.unique(rows, axis=0)
+        for rows in _goals_by_map(len(bank.bounds), tables)
+    ]
+    most = max(map(len, goals))
+    if most > MOST_GOALS:
+        raise InputError(
+            f"a map has {most:,} goals; a critic can be told of the paths to {MOST_GOALS} at most, leave out "
+            "critic-paths"
+        )
+    lower, upper, bounds = map(np.asarray, (bank.lower, bank.upper, bank.bounds))
+    shape = np.round((bounds[:, 1] - bounds[:, 0]).max(axis=0) / CELL).astype(int) + 1
+    goal = np.full((len(goals), most, 2), FAR_AWAY, np.float32)
+    bearing = np.zeros((len(goals), most, *shape), np.int8)
+    length = np.full(bearing.shape, 255, np.uint8)
+    for number, some in enumerate(goals):
+        if not len(some):
+            continue
+        walls = lower[number, :, 0] < FAR_AWAY
+        here = lower[number, walls], upper[number, walls], bounds[number]
+        found = _field(some, *here, flight_height, radius)
+        x, y = found[0].shape[1:]
+        goal[number, : len(some)] = some
+        bearing[number, : len(some), :x, :y], length[number, : len(some), :x, :y] = found
+    return PathFields(goal, bearing, length, bounds[:, 0].astype(np.float32))
+
+
+def _goals_by_map(maps: int, tables: Sequence[Configurations]) -> list[np.ndarray]:
+    """The goals and waypoints (R, 2) m of each map, as often as they are in the tables."""
+    map_id, goal = [], []
+    for table in tables:
+        number = np.asarray(table.map_id)
+        map_id.append(number)
+        goal.append(np.asarray(table.goal))
+        if table.waypoint is not None:
+            by_way = leads_to_waypoint(table)
+            map_id.append(number[by_way])
+            goal.append(np.asarray(table.waypoint)[by_way])
+    number, places = np.concatenate(map_id), np.concatenate(goal)
+    order = np.argsort(number, kind="stable")
+    return np.split(places[order], np.searchsorted(number[order], np.arange(1, maps)))
+
+
+def _field(
+    goals: np.ndarray, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray, height: float, radius: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bearings and lengths (K, X, Y) of one map, as `PathFields` has them.
+
+    Places on no path have those of the nearest place that is on one.
+    """
+    reach = free_clearance(radius, CELL) + CELL
+    grid = make_grid(lower, upper, bounds, flight_height=height, cell=CELL, reach=reach)
+    paths = find_paths(grid, radius)
+    fields = [_to_one(paths, *one) for one in zip(goals, *search(paths, goals), strict=True)]
+    bearing, length = zip(*fields, strict=True)
+    return np.stack(bearing), np.stack(length)
+
+
+def _to_one(
+    paths: Paths, goal: np.ndarray, distance: np.ndarray, towards: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    from scipy.ndimage import distance_transform_edt
+
+    onwards = np.where(towards < 0, np.arange(len(towards)), towards)
+    place = np.arange(len(onwards))
+    for _ in range(AHEAD):
+        place = onwards[place]
+    last = np.where((towards[place] < 0)[:, None], goal, paths.places[place])
+    offset = last - paths.places
+    turn = np.round(np.arctan2(offset[:, 1], offset[:, 0]) * (_TURN / (2 * np.pi))).astype(int)
+    known = (paths.number >= 0) & np.isfinite(distance)[paths.number]
+    nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
+    node = paths.number[tuple(nearest)]
+    bearing = (turn[node] + _TURN // 2) % _TURN - _TURN // 2
+    return bearing.astype(np.int8), np.minimum(distance[node] / _UNIT, 255).astype(np.uint8)

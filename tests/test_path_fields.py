@@ -1,0 +1,164 @@
+"""Path fields: what critics are told of the way, by hand, beside geodesics, and that no policy sees it."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pecjax.agents import PPO
+from pecjax.envs.rooms import Rooms
+from pecjax.envs.rooms.config import Configurations
+from pecjax.envs.rooms.geodesics import geodesic_lengths
+from pecjax.envs.rooms.maps import FAR_AWAY, MapBank
+from pecjax.envs.rooms.path_fields import MOST_GOALS, make_path_fields, path_from
+from pecjax.envs.rooms.sensing import DISTANCE_SCALE
+from pecjax.errors import InputError
+from pecjax.training.build import build
+from pecjax.training.contracts import check_task
+from pecjax.training.settings import RunSettings
+
+FILE = Path(__file__).parents[1] / "benchmarks" / "bounds.py"
+SPEC = importlib.util.spec_from_file_location("bounds", FILE)
+bounds = importlib.util.module_from_spec(SPEC)
+sys.modules["bounds"] = bounds  # where its dataclasses look for their module
+SPEC.loader.exec_module(bounds)
+
+ROOM = np.float32([(0, 0), (10, 8)])
+WALL = np.float32([(4.9, 0, 0)]), np.float32([(5.1, 6, 3)])  # the way past it is at y of 6 to 8
+NOTHING = np.full((1, 3), FAR_AWAY, np.float32)
+GOAL, OTHER = np.float32([9, 1]), np.float32([1, 7])
+TO_THE_GAP, ON_FROM_IT = np.float64([2, 5.5]), np.float64([4, 5.5])  # from (3, 1)
+
+
+@pytest.fixture(scope="module")
+def fields():
+    """Of an empty room with two goals, and of one with a wall, a goal and a waypoint."""
+    bank = MapBank(np.stack([NOTHING, WALL[0]]), np.stack([NOTHING, WALL[1]]), np.stack([ROOM, ROOM]))
+    goal = np.stack([GOAL, OTHER, GOAL])
+    table = Configurations(
+        start=goal,
+        goal=goal,
+        map_id=np.int32([0, 0, 1]),
+        objective=np.int32([0, 0, 2]),
+        waypoint=np.float32([(7, 7), (7, 7), (2, 7)]),
+    )
+    return make_path_fields(bank, [table, table], radius=0.2, flight_height=1.2)
+
+
+def told(fields, map_id, goal, place, heading=0.0):
+    """Length m, and direction rad off the heading."""
+    length, sine, cosine = path_from(
+        fields, jnp.int32(map_id), jnp.float32(goal), jnp.float32(place), heading
+    )
+    return float(length) * DISTANCE_SCALE, float(np.arctan2(sine, cosine))
+
+
+def turned(angle):
+    return abs((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+@pytest.mark.parametrize("goal", [GOAL, OTHER])
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_in_the_open_the_way_is_straight(fields, goal, heading):
+    for place in ((1.2, 2), (3, 5), (8.6, 7)):
+        offset = goal - place
+        length, turn = told(fields, 0, goal, place, heading)
+        assert turned(turn + heading - np.arctan2(offset[1], offset[0])) < 0.25  # paths go from cell to cell
+        np.testing.assert_allclose(length, np.linalg.norm(offset), rtol=0.1, atol=0.3)
+
+
+def test_behind_a_wall_it_leads_around_it(fields):
+    length, turn = told(fields, 1, GOAL, (3, 1))
+    assert turned(turn - np.arctan2(TO_THE_GAP[1], TO_THE_GAP[0])) < 0.4
+    np.testing.assert_allclose(length, np.linalg.norm(TO_THE_GAP) + np.linalg.norm(ON_FROM_IT), rtol=0.1)
+    _, past = told(fields, 1, GOAL, (6, 6.5))
+    assert past < -0.8  # and down to the goal
+
+
+def test_a_waypoint_is_a_goal_where_one_leads_by_it(fields):
+    assert {tuple(goal) for goal in fields.goal[1]} == {(9, 1), (2, 7)}
+    assert {tuple(goal) for goal in fields.goal[0]} == {(9, 1), (1, 7)}
+    length, turn = told(fields, 1, (2, 7), (2, 3))
+    np.testing.assert_allclose(length, 4, atol=0.3)
+    np.testing.assert_allclose(turn, np.pi / 2, atol=0.1)
+
+
+@pytest.fixture(scope="module")
+def paper():
+    settings = Rooms(table="2", critic_paths=True)
+    task, world = settings.make()
+    return settings, task, settings.for_training(world)
+
+
+def test_lengths_are_those_of_geodesics(paper):
+    """On a grid of half the cell, by the search for single paths."""
+    settings, task, world = paper
+    table, walls = world.table, settings.scenes()[0].map
+    wanted = geodesic_lengths(
+        walls.lower, walls.upper, walls.bounds, table.start, table.goal, radius=task.vehicle.radius,
+        flight_height=settings.flight_height,
+    )  # fmt: skip
+    found = [
+        told(world.params.paths, 0, goal, start)[0]
+        for start, goal in zip(table.start, table.goal, strict=True)
+    ]
+    np.testing.assert_allclose(found, wanted, rtol=0.05, atol=0.4)
+
+
+def test_who_follows_it_comes_to_the_goal(paper):
+    _, _, world = paper
+    for start, goal in zip(world.table.start, world.table.goal, strict=True):
+        place = np.array(start)
+        length = left = told(world.params.paths, 0, goal, place)[0]
+        for _ in range(round(1.5 * length / 0.2)):
+            left, turn = told(world.params.paths, 0, goal, place)
+            place += 0.2 * np.float32([np.cos(turn), np.sin(turn)])
+        assert left < 0.75
+
+
+def test_critics_are_told_and_policies_are_not(paper):
+    _, task, world = paper
+    check_task(task, world)
+    plain, _ = Rooms(table="2").make()
+    assert task.observation_space == plain.observation_space
+    assert task.privileged_space.shape == (plain.privileged_space.shape[0] + 3,)
+    state = task.reset(jax.random.key(0), jax.tree.map(lambda leaf: leaf[3], world.table), world.params)
+    known = task.privileged(state, world.params)
+    np.testing.assert_array_equal(known[:-3], plain.privileged(state, world.params))
+    length, turn = told(world.params.paths, 0, state.config.goal, state.qpos[:2])
+    heading = 2 * np.arctan2(state.qpos[6], state.qpos[3])
+    np.testing.assert_allclose(known[-3] * DISTANCE_SCALE, length, rtol=1e-6)
+    assert turned(np.arctan2(known[-2], known[-1]) + heading - turn) < 1e-5
+
+
+def test_only_training_gets_the_paths_ready():
+    agent = PPO(num_envs=8, num_steps=4, num_minibatches=2)
+    settings = RunSettings(task=Rooms(critic_paths=True), agent=agent)
+    assert build(settings, 1).world.params.paths is not None
+    flown = build(settings, 1, trains=False)
+    assert flown.world.params.paths is None
+    assert build(RunSettings(task=Rooms(), agent=agent), 1).world.params.paths is None
+
+
+def test_too_many_goals_are_refused():
+    goal = np.stack([np.linspace(1, 9, MOST_GOALS + 1), np.full(MOST_GOALS + 1, 4)], axis=1).astype(
+        np.float32
+    )
+    table = Configurations(start=goal, goal=goal, map_id=np.zeros(len(goal), np.int32))
+    bank = MapBank(WALL[0][None], WALL[1][None], ROOM[None])
+    with pytest.raises(InputError, match=r"a map has 101 goals; .* leave out critic-paths"):
+        make_path_fields(bank, [table], radius=0.2, flight_height=1.2)
+
+
+def test_guided_is_shown_what_critics_are_told():
+    guided, world = bounds.Guided(table="2").make()
+    task, told_world = (settings := Rooms(table="2", critic_paths=True)).make()
+    told_world = settings.for_training(told_world)
+    state = task.reset(jax.random.key(1), jax.tree.map(lambda leaf: leaf[5], world.table), world.params)
+    shown = guided.observe(jax.random.key(0), state, world.params)["way"]
+    np.testing.assert_array_equal(shown, task.privileged(state, told_world.params)[-3:])
+    check_task(guided, world)
