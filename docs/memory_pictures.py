@@ -30,6 +30,8 @@ NETWORKS = {
     "mlp-25": ("no memory, falling rate, 25 minutes", 1500),
     "mingru-25": ("minGRU, falling rate, 25 minutes", 1500),
     "mingru-far": ("minGRU, falling rate, discount 0.998, sequences of 128", 900),
+    "mlp-paths": ("no memory, falling rate, critic told of paths", 900),
+    "mingru-paths": ("minGRU, falling rate, critic told of paths", 900),
     "above": ("shown the map", 540),
     "guided": ("shown the way", 540),
 }
@@ -41,6 +43,7 @@ PAIRS = (
 LOOKS = (
     *((color, dashes) for dashes in ("-", ":", "-.") for color in (RED, BLUE)),
     (BLUE, "--"),
+    *((color, (0, (6, 1, 1, 1, 1, 1))) for color in (RED, BLUE)),
     (YELLOW, "-"),
     (TEAL, "-"),
 )
