@@ -4,6 +4,7 @@ import importlib.util
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 FILE = Path(__file__).parents[1] / "benchmarks" / "race.py"
@@ -41,3 +42,42 @@ def test_what_did_not_arrive_is_last(monkeypatch, capsys, tmp_path):
         ["pecjax", "2.0", "2.0", "100", "3"], ["purejax", "inf", "inf", "inf", "1"]
     ]  # fmt: skip
     assert len(json.loads((tmp_path / "race.json").read_text())) == 6
+
+
+def test_the_page_has_the_medians():
+    """Every row of the table of performance.md, from the stored runs."""
+    docs = FILE.parents[1] / "docs"
+    stored = {
+        name: json.loads((docs / "results" / f"race-{name}.json").read_text())
+        for name in ("set1", "set2", "pairs", "defaults")
+    }
+    goals = (("1", "0.97", "set1"), ("2", "0.97", "set2"), ("rooms-pairs", "0.9", "pairs"))
+
+    def cells(racer, source=None):
+        for space, threshold, name in goals:
+            there = [
+                one["reached"].get(threshold)
+                for one in stored[source or name]
+                if (one["racer"], one["space"]) == (racer, space)
+            ]
+            assert len(there) == 3
+            figures = [
+                float(np.median([one[kind] if one else np.inf for one in there]))
+                for kind in ("training", "whole", "steps")
+            ]
+            if np.isinf(figures[0]):
+                yield from "–––"
+            else:
+                yield from (f"{figures[0]:.1f}", f"{figures[1]:.1f}", f"{figures[2] / 1e6:.2f} M")
+
+    page = (docs / "performance.md").read_text()
+    for label, *of in (
+        ("pecjax, its defaults", "pecjax", "defaults"),
+        ("pecjax, as the search has it", "pecjax"),
+        ("a loop like PureJaxRL's", "purejax"),
+        ("rejax 0.1.3", "rejax"),
+        ("Brax PPO 0.14.2", "brax"),
+        ("Stable-Baselines3 2.9.2, over C MuJoCo", "sb3"),
+        ("pecjax, Ape-X", "apex"),
+    ):
+        assert f"| {label} | {' | '.join(cells(*of))} |" in page, label
