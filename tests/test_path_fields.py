@@ -1,6 +1,7 @@
 """Path fields: what critics are told of the way, by hand, beside geodesics, and that no policy sees it."""
 
 import importlib.util
+import subprocess
 import sys
 from pathlib import Path
 
@@ -87,6 +88,20 @@ def test_a_waypoint_is_a_goal_where_one_leads_by_it(fields):
     np.testing.assert_allclose(turn, np.pi / 2, atol=0.1)
 
 
+def test_where_no_path_leads_it_is_far_and_straight_ahead():
+    across = np.float32([(4.9, 0, 0)]), np.float32([(5.1, 8, 3)])
+    table = Configurations(start=GOAL[None], goal=GOAL[None], map_id=np.int32([0]))
+    bank = MapBank(across[0][None], across[1][None], ROOM[None])
+    closed = make_path_fields(bank, [table], radius=0.2, flight_height=1.2)
+    length, turn = told(closed, 0, GOAL, (3, 4))
+    assert length == pytest.approx(255 * 0.25)
+    np.testing.assert_allclose(turn, np.arctan2(-3, 6), atol=0.02)
+    assert told(closed, 0, GOAL, (6, 4))[0] < 5
+    full = MapBank(np.float32([[(-1, -1, 0)]]), np.float32([[(11, 9, 3)]]), ROOM[None])
+    with pytest.raises(InputError, match="no cell of a map is free"):
+        make_path_fields(full, [table], radius=0.2, flight_height=1.2)
+
+
 @pytest.fixture(scope="module")
 def paper():
     settings = Rooms(table="2", critic_paths=True)
@@ -141,6 +156,9 @@ def test_only_training_gets_the_paths_ready():
     assert build(settings, 1).world.params.paths is not None
     flown = build(settings, 1, trains=False)
     assert flown.world.params.paths is None
+    # A training without them stops at the first figure that is not finite.
+    state = flown.agent.init(jax.random.key(0), flown.world)
+    assert jax.device_get(flown.agent.iterate(state, flown.world)[1]).non_finite
     assert build(RunSettings(task=Rooms(), agent=agent), 1).world.params.paths is None
 
 
@@ -162,3 +180,21 @@ def test_guided_is_shown_what_critics_are_told():
     shown = guided.observe(jax.random.key(0), state, world.params)["way"]
     np.testing.assert_array_equal(shown, task.privileged(state, told_world.params)[-3:])
     check_task(guided, world)
+
+
+@pytest.mark.slow
+def test_a_run_with_a_told_critic_is_evaluated_resumed_and_exported(tmp_path):
+    def pecjax_does(*words):
+        done = subprocess.run(
+            [sys.executable, "-m", "pecjax", *words], capture_output=True, text=True, timeout=300, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    run = str(tmp_path / "run")
+    few = ("--agent.num-envs", "64", "--evaluation.every", "2", "--evaluation.episodes", "20")
+    pecjax_does("train", "--task.critic-paths", *few, "--iterations", "2", "--out", run)
+    pecjax_does("train", "--out", run, "--resume", *few, "--iterations", "4", "--task.critic-paths")
+    assert "over 20 greedy episodes" in pecjax_does("eval", run, "--episodes", "20")
+    pecjax_does("export", run, "--out", str(tmp_path / "policy.onnx"))
+    assert (tmp_path / "policy.json").is_file()

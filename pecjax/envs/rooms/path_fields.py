@@ -11,7 +11,7 @@ import numpy as np
 
 from pecjax.envs.rooms.clearance_grid import make_grid
 from pecjax.envs.rooms.config import Configurations, leads_to_waypoint
-from pecjax.envs.rooms.geodesics import Paths, find_paths, free_clearance, search
+from pecjax.envs.rooms.geodesics import find_paths, free_clearance, search
 from pecjax.envs.rooms.maps import FAR_AWAY, MapBank
 from pecjax.envs.rooms.sensing import DISTANCE_SCALE
 from pecjax.errors import InputError
@@ -29,7 +29,7 @@ class PathFields(NamedTuple):
     Attributes:
         goal: (M, K, 2) m, far away where a map has fewer than K.
         bearing: (M, K, X, Y) int8, the direction in which a path goes on, in 1/256 of a turn.
-        length: (M, K, X, Y) uint8, of the path, in steps of 0.25 m, 255 where there are more.
+        length: (M, K, X, Y) uint8, of the path, in steps of 0.25 m, 255 where there are more or no path.
         origin: (M, 2) m, of the grids.
     """
 
@@ -64,7 +64,7 @@ def make_path_fields(
         radius, flight_height: m, of the drone.
 
     Raises:
-        InputError: a map of too many goals, or of too many cells.
+        InputError: a map of too many goals, of too many cells, or without a free one.
     """
     goals = [
         np.zeros((0, 2)) if not len(rows) else np.unique(rows, axis=0)
@@ -114,30 +114,31 @@ def _field(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Bearings and lengths (K, X, Y) of one map, as `PathFields` has them.
 
-    Places on no path have those of the nearest place that is on one.
+    Places too near to a wall have those of the nearest free cell. Where no path leads to the goal its
+    direction is straight.
     """
+    from scipy.ndimage import distance_transform_edt
+
     reach = free_clearance(radius, CELL) + CELL
     grid = make_grid(lower, upper, bounds, flight_height=height, cell=CELL, reach=reach)
     paths = find_paths(grid, radius)
-    fields = [_to_one(paths, *one) for one in zip(goals, *search(paths, goals), strict=True)]
-    bearing, length = zip(*fields, strict=True)
-    return np.stack(bearing), np.stack(length)
+    if not len(paths.places):
+        raise InputError("no cell of a map is free to fly in; leave out critic-paths")
+    taken = paths.number < 0
+    nearest = np.asarray(distance_transform_edt(taken, return_distances=False, return_indices=True))
+    node = paths.number[tuple(nearest)]
+    distances, onwards = search(paths, goals)
+    turns = np.stack([_turns(paths.places, *one) for one in zip(goals, onwards, strict=True)])
+    length = np.minimum(distances / _UNIT, 255).astype(np.uint8)
+    return turns[:, node], length[:, node]
 
 
-def _to_one(
-    paths: Paths, goal: np.ndarray, distance: np.ndarray, towards: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    from scipy.ndimage import distance_transform_edt
-
-    onwards = np.where(towards < 0, np.arange(len(towards)), towards)
+def _turns(places: np.ndarray, goal: np.ndarray, onwards: np.ndarray) -> np.ndarray:
+    """Where to from each node (K,), in the unit of bearings; paths go on to these nodes, -1 for the goal."""
+    step = np.where(onwards < 0, np.arange(len(onwards)), onwards)
     place = np.arange(len(onwards))
     for _ in range(AHEAD):
-        place = onwards[place]
-    last = np.where((towards[place] < 0)[:, None], goal, paths.places[place])
-    offset = last - paths.places
+        place = step[place]
+    offset = np.where((onwards[place] < 0)[:, None], goal, places[place]) - places
     turn = np.round(np.arctan2(offset[:, 1], offset[:, 0]) * (_TURN / (2 * np.pi))).astype(int)
-    known = (paths.number >= 0) & np.isfinite(distance)[paths.number]
-    nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
-    node = paths.number[tuple(nearest)]
-    bearing = (turn[node] + _TURN // 2) % _TURN - _TURN // 2
-    return bearing.astype(np.int8), np.minimum(distance[node] / _UNIT, 255).astype(np.uint8)
+    return ((turn + _TURN // 2) % _TURN - _TURN // 2).astype(np.int8)
