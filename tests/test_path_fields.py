@@ -109,6 +109,15 @@ def paper():
     return settings, task, settings.for_training(world)
 
 
+def test_maps_without_a_goal_have_none(fields):
+    """Such as those that a space holds out."""
+    bank = MapBank(*(np.stack([part, part]) for part in (*WALL, ROOM)))
+    table = Configurations(start=GOAL[None], goal=GOAL[None], map_id=np.int32([1]))
+    found = make_path_fields(bank, [table], radius=0.2, flight_height=1.2)
+    assert np.all(found.goal[0] == np.float32(FAR_AWAY)) and np.all(found.length[0] == 255)
+    np.testing.assert_array_equal(found.length[1, 0], fields.length[1, 1])
+
+
 def test_lengths_are_those_of_geodesics(paper):
     """On a grid of half the cell, by the search for single paths."""
     settings, task, world = paper
@@ -170,6 +179,14 @@ def test_too_many_goals_are_refused():
     bank = MapBank(WALL[0][None], WALL[1][None], ROOM[None])
     with pytest.raises(InputError, match=r"a map has 101 goals; .* leave out critic-paths"):
         make_path_fields(bank, [table], radius=0.2, flight_height=1.2)
+    many = MapBank(*(np.broadcast_to(part, (10_000, *part.shape)) for part in (*WALL, 20 * ROOM)))
+    with pytest.raises(InputError, match=r"the paths to 2 goals in each of 10,000 maps take 30 GiB, 1 are"):
+        make_path_fields(
+            many,
+            [table.replace(**{k: getattr(table, k)[:2] for k in ("start", "goal", "map_id")})],
+            radius=0.2,
+            flight_height=1.2,
+        )
 
 
 def test_guided_is_shown_what_critics_are_told():

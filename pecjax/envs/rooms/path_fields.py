@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from pecjax.errors import InputError
 CELL = 0.2  # m
 AHEAD = 5  # cells of a path: where it leads to, seen from where the drone is
 MOST_GOALS = 100  # of one map: each is compared in every step, and takes some 10 ms beforehand
+MOST_CELLS = 2**29  # of all fields together, 1 GiB
 _UNIT = 0.25  # m, of the lengths
 _TURN = 256  # of the bearings
 
@@ -64,12 +66,9 @@ def make_path_fields(
         radius, flight_height: m, of the drone.
 
     Raises:
-        InputError: a map of too many goals, of too many cells, or without a free one.
+        InputError: maps of too many goals, of too many cells, or without a free one.
     """
-    goals = [
-        np.zeros((0, 2)) if not len(rows) else np.unique(rows, axis=0)
-        for rows in _goals_by_map(len(bank.bounds), tables)
-    ]
+    goals = [np.unique(rows, axis=0) for rows in _goals_by_map(len(bank.bounds), tables)]
     most = max(map(len, goals))
     if most > MOST_GOALS:
         raise InputError(
@@ -78,6 +77,11 @@ def make_path_fields(
         )
     lower, upper, bounds = map(np.asarray, (bank.lower, bank.upper, bank.bounds))
     shape = np.round((bounds[:, 1] - bounds[:, 0]).max(axis=0) / CELL).astype(int) + 1
+    if (cells := len(goals) * most * math.prod(shape)) > MOST_CELLS:
+        raise InputError(
+            f"the paths to {most} goals in each of {len(goals):,} maps take {2 * cells / 2**30:.0f} GiB, "
+            f"{2 * MOST_CELLS / 2**30:.0f} are the most; leave out critic-paths"
+        )
     goal = np.full((len(goals), most, 2), FAR_AWAY, np.float32)
     bearing = np.zeros((len(goals), most, *shape), np.int8)
     length = np.full(bearing.shape, 255, np.uint8)

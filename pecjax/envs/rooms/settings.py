@@ -51,7 +51,8 @@ class Rooms(NavigationSettings, TaskSettings):
         by_mjx: whether MJX takes the physics steps even of a drone that only gravity and its rotors act on;
             otherwise those have a closed form, which is many times as fast and equal but for rounding.
         critic_paths: whether a critic is told, in training alone, how long the shortest path to the goal is
-            and where it leads. No policy is shown it. The paths of 10,000 maps take about a minute.
+            and where it leads, if it is a PPO's that may be told (`NetworkSettings.critic`). No policy is
+            shown it. The paths of 10,000 maps take about a minute.
     """
 
     # For tasks of one's own that extend this one: see `examples/own_axis.py`.
