@@ -19,7 +19,7 @@ from pecjax.envs.rooms import RoomsTask
 from pecjax.envs.rooms.clearance import wall_distance
 from pecjax.envs.rooms.maps import pick
 from pecjax.envs.rooms.objectives import target
-from pecjax.envs.rooms.path_fields import make_path_fields, path_from
+from pecjax.envs.rooms.path_fields import path_from
 from pecjax.envs.rooms.rotations import heading
 from pecjax.envs.spaces import Box
 from pecjax.envs.task import World
@@ -86,6 +86,4 @@ class Guided(pecjax.Rooms):
         task, world = super().make()
         space = self.read_space()
         tables = [world.table] if space is None else [space.train.table, space.held_out.table]
-        radius, height = task.vehicle.radius, self.flight_height
-        paths = make_path_fields(world.params.bank, tables, radius=radius, flight_height=height)
-        return task, world._replace(params=world.params._replace(paths=paths))
+        return task, self.with_paths(world, *tables)

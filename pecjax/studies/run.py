@@ -39,11 +39,9 @@ def run_study(settings: StudySettings, folder: Path, notice: str | None = None) 
     settings.check()
     batches = settings.batches()
     tasks = dict.fromkeys(settings.settings_of(spec).task for specs in batches for spec in specs)
-    worlds = {}
-    for task in tasks:
-        made, world = task.make()
-        worlds[task] = made, task.for_training(world)
-    settings.check_samplers({task: num_configs(world.table) for task, (_, world) in worlds.items()})
+    made = {task: task.make() for task in tasks}
+    settings.check_samplers({task: num_configs(world.table) for task, (_, world) in made.items()})
+    worlds = {about: (task, about.for_training(world)) for about, (task, world) in made.items()}
     directory = StudyDirectory(folder)
     runs = sum(map(len, batches))
     with (

@@ -58,9 +58,9 @@ def build(settings: RunSettings, num_devices: int, *, trains: bool = True) -> Ru
     """
     check_settings(settings)
     task, world = settings.task.make()
+    sampler = settings.sampler.make(num_configs(world.table))
     if trains:
         world = settings.task.for_training(world)
-    sampler = settings.sampler.make(num_configs(world.table))
     check_contracts(settings, task, world, sampler)
     mesh = device_mesh(num_devices)
     agent = settings.agent.make(task, sampler, AXIS)

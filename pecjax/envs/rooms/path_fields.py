@@ -19,7 +19,7 @@ from pecjax.errors import InputError
 
 CELL = 0.2  # m
 AHEAD = 5  # cells of a path: where it leads to, seen from where the drone is
-MOST_GOALS = 100  # of one map: each is compared in every step, and takes some 10 ms beforehand
+MOST_GOALS = 100  # of one map: every step compares all of them
 MOST_CELLS = 2**29  # of all fields together, 1 GiB
 _UNIT = 0.25  # m, of the lengths
 _TURN = 256  # of the bearings

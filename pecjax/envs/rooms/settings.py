@@ -104,10 +104,12 @@ class Rooms(NavigationSettings, TaskSettings):
 
     def for_training(self, world: World) -> World:
         """The world with the paths to its goals, where critics are told of them."""
-        if not self.critic_paths:
-            return world
+        return self.with_paths(world, world.table) if self.critic_paths else world
+
+    def with_paths(self, world: World, *tables: Configurations) -> World:
+        """The world with the paths to the goals of the tables, see `make_path_fields`."""
         radius, height = self.scenes()[0].vehicle.radius, self.flight_height
-        paths = make_path_fields(world.params.bank, [world.table], radius=radius, flight_height=height)
+        paths = make_path_fields(world.params.bank, tables, radius=radius, flight_height=height)
         return world._replace(params=world.params._replace(paths=paths))
 
     def _hint(self, maps: Sequence[Map]) -> str:
