@@ -82,7 +82,7 @@ class Guided(pecjax.Rooms):
     task_kind: ClassVar = GuidedTask
 
     def make(self) -> tuple[Any, World]:
-        """The task and its world, with the paths to all goals: of 10,000 maps in about a minute."""
+        """The task and its world, with the paths to all goals: of 10,000 maps in about half a minute."""
         task, world = super().make()
         space = self.read_space()
         tables = [world.table] if space is None else [space.train.table, space.held_out.table]

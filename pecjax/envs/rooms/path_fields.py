@@ -60,7 +60,7 @@ def path_from(
 def make_path_fields(
     bank: MapBank, tables: Sequence[Configurations], *, radius: float, flight_height: float
 ) -> PathFields:
-    """The fields of all goals and waypoints of the tables; those of 10,000 maps take about a minute.
+    """The fields of all goals and waypoints of the tables; those of 10,000 maps take about half a minute.
 
     Args:
         radius, flight_height: m, of the drone.

@@ -52,7 +52,7 @@ class Rooms(NavigationSettings, TaskSettings):
             otherwise those have a closed form, which is many times as fast and equal but for rounding.
         critic_paths: whether a critic is told, in training alone, how long the shortest path to the goal is
             and where it leads, if it is a PPO's that may be told (`NetworkSettings.critic`). No policy is
-            shown it. The paths of 10,000 maps take about a minute.
+            shown it. The paths of 10,000 maps take about half a minute.
     """
 
     # For tasks of one's own that extend this one: see `examples/own_axis.py`.
