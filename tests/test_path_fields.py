@@ -15,7 +15,7 @@ from pecjax.envs.rooms import Rooms
 from pecjax.envs.rooms.config import Configurations
 from pecjax.envs.rooms.geodesics import geodesic_lengths
 from pecjax.envs.rooms.maps import FAR_AWAY, MapBank
-from pecjax.envs.rooms.path_fields import MOST_GOALS, make_path_fields, path_from
+from pecjax.envs.rooms.path_fields import CELL, make_path_fields, path_from
 from pecjax.envs.rooms.sensing import DISTANCE_SCALE
 from pecjax.errors import InputError
 from pecjax.training.build import build
@@ -81,8 +81,8 @@ def test_behind_a_wall_it_leads_around_it(fields):
 
 
 def test_a_waypoint_is_a_goal_where_one_leads_by_it(fields):
-    assert {tuple(goal) for goal in fields.goal[1]} == {(9, 1), (2, 7)}
-    assert {tuple(goal) for goal in fields.goal[0]} == {(9, 1), (1, 7)}
+    assert set(fields.field[1].ravel()) == set(fields.field[0].ravel()) == {0, 1}
+    assert told(fields, 0, OTHER, OTHER)[0] == told(fields, 1, (2, 7), (2, 7))[0] == 0
     length, turn = told(fields, 1, (2, 7), (2, 3))
     np.testing.assert_allclose(length, 4, atol=0.3)
     np.testing.assert_allclose(turn, np.pi / 2, atol=0.1)
@@ -114,7 +114,7 @@ def test_maps_without_a_goal_have_none(fields):
     bank = MapBank(*(np.stack([part, part]) for part in (*WALL, ROOM)))
     table = Configurations(start=GOAL[None], goal=GOAL[None], map_id=np.int32([1]))
     found = make_path_fields(bank, [table], radius=0.2, flight_height=1.2)
-    assert np.all(found.goal[0] == np.float32(FAR_AWAY)) and np.all(found.length[0] == 255)
+    assert np.all(found.length[0] == 255)
     np.testing.assert_array_equal(found.length[1, 0], fields.length[1, 1])
 
 
@@ -171,22 +171,33 @@ def test_only_training_gets_the_paths_ready():
     assert build(RunSettings(task=Rooms(), agent=agent), 1).world.params.paths is None
 
 
-def test_too_many_goals_are_refused():
-    goal = np.stack([np.linspace(1, 9, MOST_GOALS + 1), np.full(MOST_GOALS + 1, 4)], axis=1).astype(
-        np.float32
-    )
-    table = Configurations(start=goal, goal=goal, map_id=np.zeros(len(goal), np.int32))
+def test_thousands_of_goals_are_found_by_their_cells():
+    """Goals are told of as well as they would be alone, but for up to a cell's diagonal."""
+    goal = np.random.default_rng(0).uniform((1, 1), (4.5, 7), (4_000, 2)).astype(np.float32)
+    goal[:100] = np.round(goal[:100], 1)  # half of their coordinates lie between two cells
     bank = MapBank(WALL[0][None], WALL[1][None], ROOM[None])
-    with pytest.raises(InputError, match=r"a map has 101 goals; .* leave out critic-paths"):
-        make_path_fields(bank, [table], radius=0.2, flight_height=1.2)
+    place = np.float32([8, 2])
+
+    def of(goals):
+        table = Configurations(start=goals, goal=goals, map_id=np.zeros(len(goals), np.int32))
+        return make_path_fields(bank, [table], radius=0.2, flight_height=1.2)
+
+    many = of(goal)
+    assert many.length.shape[1] <= np.prod(np.ptp(goal, axis=0) / CELL + 2)
+    for one in [*goal[:12], *goal[-12:]]:
+        length, turn = told(many, 0, one, place)
+        alone, wanted = told(of(one[None]), 0, one, place)
+        np.testing.assert_allclose(length, alone, atol=np.sqrt(2) * CELL + 0.25)
+        assert turned(turn - wanted) < 0.1
+        np.testing.assert_allclose(told(many, 0, one, one)[0], 0, atol=np.sqrt(2) * CELL + 0.25)
+
+
+def test_too_many_cells_are_refused():
+    goal = np.float32([(1, 4), (9, 4)])
+    table = Configurations(start=goal, goal=goal, map_id=np.zeros(2, np.int32))
     many = MapBank(*(np.broadcast_to(part, (10_000, *part.shape)) for part in (*WALL, 20 * ROOM)))
     with pytest.raises(InputError, match=r"the paths to 2 goals in each of 10,000 maps take 30 GiB, 1 are"):
-        make_path_fields(
-            many,
-            [table.replace(**{k: getattr(table, k)[:2] for k in ("start", "goal", "map_id")})],
-            radius=0.2,
-            flight_height=1.2,
-        )
+        make_path_fields(many, [table], radius=0.2, flight_height=1.2)
 
 
 def test_guided_is_shown_what_critics_are_told():

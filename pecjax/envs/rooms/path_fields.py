@@ -19,23 +19,26 @@ from pecjax.errors import InputError
 
 CELL = 0.2  # m
 AHEAD = 5  # cells of a path: where it leads to, seen from where the drone is
-MOST_GOALS = 100  # of one map: every step compares all of them
 MOST_CELLS = 2**29  # of all fields together, 1 GiB
 _UNIT = 0.25  # m, of the lengths
+_AT_ONCE = 256  # goals whose distances are held in full
 _TURN = 256  # of the bearings
 
 
 class PathFields(NamedTuple):
-    """Shortest paths to up to K goals in each of M maps, on grids of `CELL`.
+    """Shortest paths to up to K places in each of M maps, on grids of `CELL`.
+
+    The goals of one cell share the paths to the first of them.
 
     Attributes:
-        goal: (M, K, 2) m, far away where a map has fewer than K.
+        field: (M, X, Y) int16, which of the K places is nearest to a cell, so that a goal that lies between
+            two cells may be rounded either way.
         bearing: (M, K, X, Y) int8, the direction in which a path goes on, in 1/256 of a turn.
         length: (M, K, X, Y) uint8, of the path, in steps of 0.25 m, 255 where there are more or no path.
         origin: (M, 2) m, of the grids.
     """
 
-    goal: Any
+    field: Any
     bearing: Any
     length: Any
     origin: Any
@@ -50,9 +53,9 @@ def path_from(
         goal, place: (2,) m; the goal is one of the map's.
         heading: () rad.
     """
-    number = jnp.argmin(jnp.sum((fields.goal[map_id] - goal) ** 2, axis=-1))
-    cell = jnp.round((place - fields.origin[map_id]) / CELL).astype(jnp.int32)
-    at = (map_id, number, *jnp.clip(cell, 0, np.array(fields.bearing.shape[2:]) - 1))
+    cells = jnp.round((jnp.stack([goal, place]) - fields.origin[map_id]) / CELL).astype(jnp.int32)
+    there, here = jnp.clip(cells, 0, np.array(fields.field.shape[1:]) - 1)
+    at = (map_id, fields.field[map_id, *there], *here)
     turn = fields.bearing[at] * (2 * jnp.pi / _TURN) - heading
     return jnp.stack([fields.length[at] * (_UNIT / DISTANCE_SCALE), jnp.sin(turn), jnp.cos(turn)])
 
@@ -66,39 +69,35 @@ def make_path_fields(
         radius, flight_height: m, of the drone.
 
     Raises:
-        InputError: maps of too many goals, of too many cells, or without a free one.
+        InputError: maps of too many cells, or without a free one.
     """
-    goals = [np.unique(rows, axis=0) for rows in _goals_by_map(len(bank.bounds), tables)]
-    most = max(map(len, goals))
-    if most > MOST_GOALS:
-        raise InputError(
-            f"a map has {most:,} goals; a critic can be told of the paths to {MOST_GOALS} at most, leave out "
-            "critic-paths"
-        )
     lower, upper, bounds = map(np.asarray, (bank.lower, bank.upper, bank.bounds))
+    origin = bounds[:, 0].astype(np.float32)
     shape = np.round((bounds[:, 1] - bounds[:, 0]).max(axis=0) / CELL).astype(int) + 1
+    goals = _goals_by_map(origin, tables)
+    most = max(map(len, goals))
     if (cells := len(goals) * most * math.prod(shape)) > MOST_CELLS:
         raise InputError(
-            f"the paths to {most} goals in each of {len(goals):,} maps take {2 * cells / 2**30:.0f} GiB, "
+            f"the paths to {most:,} goals in each of {len(goals):,} maps take {2 * cells / 2**30:.0f} GiB, "
             f"{2 * MOST_CELLS / 2**30:.0f} are the most; leave out critic-paths"
         )
-    goal = np.full((len(goals), most, 2), FAR_AWAY, np.float32)
+    field = np.zeros((len(goals), *shape), np.int16)
     bearing = np.zeros((len(goals), most, *shape), np.int8)
     length = np.full(bearing.shape, 255, np.uint8)
     for number, some in enumerate(goals):
         if not len(some):
             continue
+        field[number] = _nearest(_cells(some, origin[number]), shape)
         walls = lower[number, :, 0] < FAR_AWAY
         here = lower[number, walls], upper[number, walls], bounds[number]
         found = _field(some, *here, flight_height, radius)
         x, y = found[0].shape[1:]
-        goal[number, : len(some)] = some
         bearing[number, : len(some), :x, :y], length[number, : len(some), :x, :y] = found
-    return PathFields(goal, bearing, length, bounds[:, 0].astype(np.float32))
+    return PathFields(field, bearing, length, origin)
 
 
-def _goals_by_map(maps: int, tables: Sequence[Configurations]) -> list[np.ndarray]:
-    """The goals and waypoints (R, 2) m of each map, as often as they are in the tables."""
+def _goals_by_map(origin: np.ndarray, tables: Sequence[Configurations]) -> list[np.ndarray]:
+    """Of each map the goals and waypoints (K, 2) m, the first in each cell."""
     map_id, goal = [], []
     for table in tables:
         number = np.asarray(table.map_id)
@@ -110,13 +109,35 @@ def _goals_by_map(maps: int, tables: Sequence[Configurations]) -> list[np.ndarra
             goal.append(np.asarray(table.waypoint)[by_way])
     number, places = np.concatenate(map_id), np.concatenate(goal)
     order = np.argsort(number, kind="stable")
-    return np.split(places[order], np.searchsorted(number[order], np.arange(1, maps)))
+    by_map = np.split(places[order], np.searchsorted(number[order], np.arange(1, len(origin))))
+    return [
+        some[np.unique(_cells(some, at), axis=0, return_index=True)[1]]
+        for some, at in zip(by_map, origin, strict=True)
+    ]
+
+
+def _cells(places: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """The cells (N, 2) of places (N, 2) m."""
+    return np.round((places - origin) / CELL).astype(int)
+
+
+def _nearest(cells: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Which of some cells (N, 2) is nearest to each cell of a grid."""
+    from scipy.ndimage import distance_transform_edt
+
+    number = np.full(shape, -1)
+    number[tuple(cells.T)] = np.arange(len(cells))
+    at = np.asarray(distance_transform_edt(number < 0, return_distances=False, return_indices=True))
+    return number[tuple(at)]
 
 
 def _field(
     goals: np.ndarray, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray, height: float, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Bearings and lengths (K, X, Y) of one map, as `PathFields` has them.
+
+    Args:
+        goals: (K, 2) m.
 
     Places too near to a wall have those of the nearest free cell. Where no path leads to the goal its
     direction is straight.
@@ -131,10 +152,15 @@ def _field(
     taken = paths.number < 0
     nearest = np.asarray(distance_transform_edt(taken, return_distances=False, return_indices=True))
     node = paths.number[tuple(nearest)]
-    distances, onwards = search(paths, goals)
-    turns = np.stack([_turns(paths.places, *one) for one in zip(goals, onwards, strict=True)])
-    length = np.minimum(distances / _UNIT, 255).astype(np.uint8)
-    return turns[:, node], length[:, node]
+    bearing = np.empty((len(goals), *node.shape), np.int8)
+    length = np.empty(bearing.shape, np.uint8)
+    for first in range(0, len(goals), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        distances, onwards = search(paths, goals[some])
+        turns = np.stack([_turns(paths.places, *one) for one in zip(goals[some], onwards, strict=True)])
+        bearing[some] = turns[:, node]
+        length[some] = np.minimum(distances / _UNIT, 255).astype(np.uint8)[:, node]
+    return bearing, length
 
 
 def _turns(places: np.ndarray, goal: np.ndarray, onwards: np.ndarray) -> np.ndarray:
