@@ -7,6 +7,7 @@ parameters. All but Ape-X take the same settings. Each docstring names what that
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import itertools
 import queue
@@ -39,6 +40,11 @@ def ours(settings: dict[str, Any], rooms: Rooms, seed: int) -> Racer:
     network = NetworkSettings(hidden=tuple(settings["hidden"]))
     others = {name: value for name, value in settings.items() if name != "hidden"}
     return _of_pecjax(PPO(network=network, **others), rooms, seed)
+
+
+def told(settings: dict[str, Any], rooms: Rooms, seed: int) -> Racer:
+    """The same with a critic that is told of the shortest paths."""
+    return ours(settings, dataclasses.replace(rooms, critic_paths=True), seed)
 
 
 def apex(settings: dict[str, Any], rooms: Rooms, seed: int) -> Racer:
@@ -245,4 +251,6 @@ def sb3(settings: dict[str, Any], rooms: Rooms, seed: int) -> Racer:
     return act, train()
 
 
-RACERS = {"pecjax": ours, "apex": apex, "purejax": purejax, "rejax": rejax, "brax": brax, "sb3": sb3}
+RACERS = {
+    "pecjax": ours, "told": told, "apex": apex, "purejax": purejax, "rejax": rejax, "brax": brax, "sb3": sb3
+}  # fmt: skip

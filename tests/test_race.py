@@ -14,7 +14,7 @@ SPEC.loader.exec_module(race)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("racer", ["pecjax", "apex", "purejax"])
+@pytest.mark.parametrize("racer", ["pecjax", "told", "apex", "purejax"])
 def test_a_racer_runs(racer):
     settings = race.settings_of(racer, {})
     found = race.in_process(racer, "1", 0, settings, limit=0)
