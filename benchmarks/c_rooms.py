@@ -119,9 +119,9 @@ class CRooms(VecEnv):
         done = hit | reached | late
         for i in np.flatnonzero(done):
             self._place(i)
-        obs = self._observe()
-        infos = [{"terminal_observation": obs[i]} if done[i] else {} for i in range(self.num_envs)]
-        return obs, (reward * 1e-3).astype(np.float32), done, infos
+        # PPO wants the last observation of episodes that were cut off alone, and none here is.
+        infos = [{} for _ in range(self.num_envs)]
+        return self._observe(), (reward * 1e-3).astype(np.float32), done, infos
 
     def close(self) -> None:
         """Nothing to close."""

@@ -7,7 +7,7 @@
 First every racer is searched: each of `SEARCH`, for Ape-X `SEARCH_OF_APEX`, once, on set 1 with seed 100.
 What reaches 0.97 in the fewest seconds of training is its best. `--best` keeps them; what is there is not
 searched again. Then the best race on fresh seeds, one process a run, the racers in turn, so that a machine
-that drifts drifts for all.
+that drifts drifts for all. The racer `told` is ours with `--task.critic-paths`.
 
 `--pythons` names the Python of a racer that needs an environment of its own: Brax 0.14.2 does not train on
 JAX 0.12.
@@ -57,6 +57,7 @@ SEARCH_OF_APEX: tuple[dict[str, Any], ...] = (
 # C MuJoCo flies few environments at its best; its batches are as large.
 OF_SB3 = {512: (64, 256), 1024: (32, 512)}
 THRESHOLDS = {"1": (0.95, 0.97), "2": (0.95, 0.97), "rooms-pairs": (0.85, 0.90)}
+NAMES = ("pecjax", "told", "apex", "brax", "purejax", "rejax", "sb3")  # of `racers.RACERS`
 EPISODES, SEARCH_SEED, FIRST_SEED = 2000, 100, 0
 
 
@@ -149,8 +150,8 @@ def _to_goal(result: dict) -> float:
 def main() -> None:
     """Searches, races, prints the table, writes the JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--racers", nargs="*", default=["pecjax", "apex", "brax", "purejax", "rejax", "sb3"])
-    parser.add_argument("--spaces", nargs="*", default=[*THRESHOLDS])
+    parser.add_argument("--racers", nargs="*", choices=NAMES, default=[*NAMES])
+    parser.add_argument("--spaces", nargs="*", choices=[*THRESHOLDS], default=[*THRESHOLDS])
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--limit", type=float, default=300, help="seconds of training of one run")
     parser.add_argument("--best", type=Path, default=Path("race_best.json"))

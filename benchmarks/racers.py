@@ -141,7 +141,7 @@ def rejax(settings: dict[str, Any], rooms: Rooms, seed: int) -> Racer:
 def brax(settings: dict[str, Any], rooms: Rooms, seed: int) -> Racer:
     """Brax's PPO over all devices; continuous actions are snapped, and every reset is the first again."""
     from brax.training.agents.ppo import networks, train as brax_ppo
-    from peers import BraxRooms, snapped
+    from brax_rooms import BraxRooms, snapped
 
     scene = rooms.scenes()[0]
     env = BraxRooms(pecjax.RoomsNavigation(scene, rooms.make()[1].table, rooms))

@@ -255,6 +255,7 @@ def test_the_duel_is_centred():
     [
         ({"num_envs": 0}, "1 or more"),
         ({"num_envs": 18}, "shards do not divide"),
+        ({"num_actors": 512}, "512 actors need an environment each"),
         ({"batch_size": 66}, "shards do not divide"),
         ({"rollout_length": 5}, "do not divide"),
         ({"replay": ReplaySettings(capacity=2040)}, "do not divide"),

@@ -51,6 +51,22 @@ class Pair(Target):
         return state, 1.0
 
 
+class Endless(Target):
+    max_steps = 0
+
+
+@dataclass
+class Bare(Target):
+    """Without one of the three that a task must say."""
+
+    missing: str
+
+    def __getattribute__(self, name):
+        if name == object.__getattribute__(self, "missing"):
+            raise AttributeError(name)
+        return object.__getattribute__(self, name)
+
+
 class Median(Target):
     metrics: ClassVar = {"distance": "median"}
 
@@ -70,6 +86,10 @@ def test_a_task_that_keeps_its_contract_passes(task):
         (Blind(), r"test_contracts:Blind: observe is \(1,\) where observation_space says \(3,\)"),
         (Boastful(), r"Boastful: privileged is \(1,\) where privileged_space says \(2,\)"),
         (Forgetful(), "Forgetful has a privileged_space; write `privileged`, too"),
+        (Bare("max_steps"), "Bare: has no max_steps; set it"),
+        (Bare("observation_space"), "Bare: has no observation_space; set it"),
+        (Bare("action_space"), "Bare: has no action_space; set it"),
+        (Endless(), "Endless: max_steps is 0; give a whole number of 1 or more"),
         (Named(), r"observe is a tree .* where observation_space says .*'seen'"),
         (Pair(), "step gives tuple; give a Transition"),
         (Renamed(), "Renamed: metrics has cvar, length, which every task has; rename it"),

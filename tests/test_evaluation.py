@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,8 @@ import pecjax
 from pecjax.agents import PPO, device_mesh
 from pecjax.agents.networks import NetworkSettings
 from pecjax.envs.axes import fill
-from pecjax.envs.task import EvalSet, World, take_configs
+from pecjax.envs.spaces import Box
+from pecjax.envs.task import EvalSet, Transition, World, take_configs
 from pecjax.studies.grid import StudySettings
 from pecjax.studies.run import run_study
 from pecjax.training import train as training
@@ -236,6 +238,56 @@ def test_a_task_without_poses_has_its_own_metrics():
     np.testing.assert_allclose(flights.returns, -(off**2), atol=1e-6)
     np.testing.assert_array_equal(flights.success, config_id == 1)
     np.testing.assert_array_equal(flights.lengths, [1, 1, 1, 1])
+
+
+class Words(Target):
+    """Two steps, whose metrics are bits of the keys that it was given."""
+
+    max_steps = 2
+    action_space = Box((2,), 0.0, 1.0)
+    metrics: ClassVar = dict.fromkeys(("reset", "seen", "acted", "stepped"), "last")
+
+    def reset(self, key, config, params):
+        return jnp.zeros((), jnp.int32), word(key)
+
+    def step(self, key, state, action, params):
+        count, first = state
+        told = {"reset": first, "seen": action[0], "acted": action[1], "stepped": word(key)}
+        none = jnp.zeros((), bool)
+        return Transition((count + 1, first), jnp.zeros(()), count == 1, none, none, told)
+
+    def observe(self, key, state, params):
+        return word(key)[None]
+
+
+def word(key):
+    return (jax.random.bits(key) >> 8).astype(jnp.float32)
+
+
+def test_reset_sight_policy_and_step_have_numbers_of_their_own():
+    flights = run_episodes(
+        Words(),
+        TARGET_WORLD,
+        lambda obs, key: jnp.stack([obs[0], word(key)]),
+        jax.random.split(jax.random.key(0), 40),
+        jnp.zeros(40, jnp.int32),
+    )
+    drawn = np.stack([flights.metrics[name] for name in Words.metrics])
+    assert len(np.unique(drawn)) == drawn.size
+
+
+def test_the_policy_shares_no_key_with_the_task():
+    """Nor one that comes of splitting another's, as policies may split theirs."""
+    keys = jax.random.split(jax.random.key(1), 40)
+    flights = run_episodes(
+        Words(),
+        TARGET_WORLD,
+        lambda obs, key: jnp.stack([obs[0], word(jax.random.split(key)[1])]),
+        keys,
+        jnp.zeros(40, jnp.int32),
+    )
+    assert not np.isin(flights.metrics["acted"], flights.metrics["stepped"]).any()
+    assert not np.isin(flights.metrics["acted"], flights.metrics["seen"]).any()
 
 
 def test_the_world_is_an_argument_of_the_program():

@@ -209,5 +209,5 @@ def test_a_waypoint_that_no_path_leads_to_is_refused(edited_rooms, tmp_path):
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, float("nan")])
 def test_a_goal_is_held_for_some_time(scene, wrong):
-    with pytest.raises(pecjax.InputError, match=r"hold-time is .*; give a time above 0"):
+    with pytest.raises(pecjax.InputError, match=r"hold-time is .*; give more than 0"):
         RoomsTask(scene.vehicle, NavigationSettings(hold_time=wrong))

@@ -20,7 +20,8 @@ from pecjax.envs.rooms.sensing import DISTANCE_SCALE
 from pecjax.errors import InputError
 from pecjax.training.build import build
 from pecjax.training.contracts import check_task
-from pecjax.training.settings import RunSettings
+from pecjax.training.settings import EvaluationSettings, RunSettings, StopSettings
+from pecjax.training.train import train
 
 FILE = Path(__file__).parents[1] / "benchmarks" / "bounds.py"
 SPEC = importlib.util.spec_from_file_location("bounds", FILE)
@@ -98,8 +99,8 @@ def test_where_no_path_leads_it_is_far_and_straight_ahead():
     np.testing.assert_allclose(turn, np.arctan2(-3, 6), atol=0.02)
     assert told(closed, 0, GOAL, (6, 4))[0] < 5
     full = MapBank(np.float32([[(-1, -1, 0)]]), np.float32([[(11, 9, 3)]]), ROOM[None])
-    with pytest.raises(InputError, match="no cell of a map is free"):
-        make_path_fields(full, [table], radius=0.2, flight_height=1.2)
+    full = make_path_fields(full, [table], radius=0.2, flight_height=1.2)
+    assert np.all(full.length == 255) and np.all(full.bearing == 0)
 
 
 @pytest.fixture(scope="module")
@@ -192,11 +193,26 @@ def test_thousands_of_goals_are_found_by_their_cells():
         np.testing.assert_allclose(told(many, 0, one, one)[0], 0, atol=np.sqrt(2) * CELL + 0.25)
 
 
+def test_a_training_looks_for_them_once(monkeypatch, tmp_path):
+    """And not where it only makes sure that it can begin."""
+    looked = []
+
+    def for_training(settings, world):
+        looked.append(settings)
+        return settings.with_paths(world, world.table)
+
+    monkeypatch.setattr(Rooms, "for_training", for_training)
+    agent = PPO(num_envs=8, num_steps=4, num_minibatches=2)
+    stop, few = StopSettings(iterations=1), EvaluationSettings(every=1, episodes=2)
+    train(RunSettings(task=Rooms(critic_paths=True), agent=agent, stop=stop, evaluation=few), tmp_path, 1)
+    assert len(looked) == 1
+
+
 def test_too_many_cells_are_refused():
     goal = np.float32([(1, 4), (9, 4)])
     table = Configurations(start=goal, goal=goal, map_id=np.zeros(2, np.int32))
     many = MapBank(*(np.broadcast_to(part, (10_000, *part.shape)) for part in (*WALL, 20 * ROOM)))
-    with pytest.raises(InputError, match=r"the paths to 2 goals in each of 10,000 maps take 30 GiB, 1 are"):
+    with pytest.raises(InputError, match=r"the paths to 2 goals in each of 10,000 maps take 45 GiB, 1 is"):
         make_path_fields(many, [table], radius=0.2, flight_height=1.2)
 
 
@@ -208,6 +224,7 @@ def test_guided_is_shown_what_critics_are_told():
     shown = guided.observe(jax.random.key(0), state, world.params)["way"]
     np.testing.assert_array_equal(shown, task.privileged(state, told_world.params)[-3:])
     check_task(guided, world)
+    assert bounds.Guided(table="2", critic_paths=True).for_training(world) is world
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from scipy.stats import entropy as scipy_entropy
 from test_returns import cut_batch, episode_by_episode
 
 import pecjax
-from pecjax.agents import AXIS, PPO, Apex, device_mesh, shard
+from pecjax.agents import AXIS, PPO, device_mesh, shard
 from pecjax.agents.distributions import categorical, tanh_normal
 from pecjax.agents.networks import ActorCritic, NetworkSettings, forward
 from pecjax.agents.ppo import minibatches, update as ppo_update
@@ -714,12 +714,6 @@ def test_minibatches_must_fit(near_world):
         made(replace(SMALL, num_minibatches=5), *near_world)
     with pytest.raises(pecjax.InputError, match="4097 minibatches"):
         made(replace(SHUFFLES["samples"], num_minibatches=4097), *near_world)
-
-
-@pytest.mark.parametrize("kind", [PPO, Apex])
-def test_a_decay_over_no_steps_is_refused(kind):
-    with pytest.raises(pecjax.InputError, match="decay-steps is 0; give 1 or more, or none"):
-        kind(decay_steps=0).check()
 
 
 def test_what_cannot_be_learnt_is_refused():

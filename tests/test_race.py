@@ -23,6 +23,14 @@ def test_a_racer_runs(racer):
     assert found["training"] > 0
 
 
+@pytest.mark.parametrize("words", [["--racers", "bracks"], ["--spaces", "3"]])
+def test_a_mistaken_name_is_refused_before_the_search(words, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["race.py", *words])
+    with pytest.raises(SystemExit):
+        race.main()
+    assert f"invalid choice: '{words[1]}'" in capsys.readouterr().err
+
+
 def test_what_did_not_arrive_is_last(monkeypatch, capsys, tmp_path):
     """A median over seeds counts a run that reached no threshold as one that took for ever."""
 

@@ -1,6 +1,7 @@
 """Named spaces: what is in them is what they say, and nothing held out is trained in."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -284,6 +285,16 @@ def test_a_task_trains_in_one_part_and_is_evaluated_in_the_other(rooms, tmp_path
         (tmp_path / name).write_bytes(content)
     kept = rooms.kept_in(tmp_path)
     jax.tree.map(np.testing.assert_array_equal, kept.make()[1], world)
+
+
+def test_in_another_map_the_way_is_not_known_and_what_is_held_out_must_fly(rooms, edited_rooms):
+    wider = replace(rooms, maps=(str(edited_rooms(('pos="-6.2 0.35 1.25"', 'pos="-6.2 0.45 1.25"'))),))
+    same = replace(rooms, maps=(str(default_scene_path()),))
+    assert same.eval_set(same.make()[1]).shortest is not None
+    assert wider.eval_set(wider.make()[1]).shortest is None
+    write_space(Path(rooms.space), small_space(held_out=((0, -3), (-6.2, 0.35))))
+    with pytest.raises(pecjax.InputError, match=r"configuration 1: start .* lies inside a wall"):
+        replace(rooms, maps=same.maps).make()
 
 
 @pytest.mark.parametrize(

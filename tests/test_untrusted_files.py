@@ -21,6 +21,7 @@ from pecjax.runtime import devices
 from pecjax.storage.arrays import CorruptFileError, read_arrays, write_arrays
 from pecjax.training.build import build
 from pecjax.training.presets import PRESETS
+from pecjax.training.program import several_runs
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.run_tables import configuration_table, trajectory_table
 
@@ -244,6 +245,11 @@ def test_a_control_period_of_a_hundred_million_steps(edited_rooms):
         ("agent.network.hidden", [64, -1], "at least 1 wide"),
         ("agent.network.hidden", [64] * 1000, "1000 layers"),
         ("apex.network.head", 10**6, "head is 1000000"),
+        ("apex.network.head", 0, "head is 0 wide; give at least 1"),
+        ("apex.replay.beta", -1.0, "beta is -1; give 0 or more"),
+        ("task.max_steps", 0, "max-steps is 0; give 1 or more"),
+        ("task.goal_radius", 0.0, "goal-radius is 0; give more than 0"),
+        ("task.gains.max_tilt", 100.0, "max-tilt is 100; give more than 0 to 1.5"),
         ("apex.replay.capacity", 2**40, "capacity is 1099511627776"),
         ("apex.batch_size", 2**40, "batch-size is 1099511627776"),
         ("apex.target_period", 2**31, "target-period is 2147483648"),
@@ -285,6 +291,9 @@ def test_images_that_no_memory_holds_are_refused():
     many = settings_tree.set_path(many, "agent.num_envs", 2**17)
     with pytest.raises(pecjax.InputError, match=r"the observations of an iteration take 26388\.4 GB"):
         build(many, 1)
+    runs = settings_tree.set_path(PRESETS["fast"], "agent.num_envs", 2**20)
+    with pytest.raises(pecjax.InputError, match=r"the observations of an iteration of 64 runs at once take"):
+        several_runs(runs, *runs.task.make(), 64)
 
 
 WANTED = {"w": np.ones((3, 2), np.float32)}

@@ -102,7 +102,12 @@ def add_counts(counts: jax.Array, outcomes: Outcomes, axis_name: str | None) -> 
     """The counts (3, N) with the trials, failures and steps of episodes that have ended."""
     number = counts.shape[1]
     steps = by_config(outcomes, "length", number, axis_name=axis_name).astype(jnp.int32)
-    return counts + jnp.concatenate([count_outcomes(outcomes, number, axis_name), steps[None]])
+    return count_on(counts, jnp.concatenate([count_outcomes(outcomes, number, axis_name), steps[None]]))
+
+
+def count_on(count: jax.Array, number: jax.Array | int) -> jax.Array:
+    """The counts (int32) and so many more, or their type's greatest number where that is less."""
+    return jnp.minimum(count, jnp.iinfo(count.dtype).max - number) + number
 
 
 def reset_where(done: jax.Array, fresh: Any, old: Any) -> Any:

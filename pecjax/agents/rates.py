@@ -4,14 +4,6 @@ from __future__ import annotations
 
 import optax
 
-from pecjax.errors import InputError
-
-
-def check_decay(decay_steps: int | None) -> None:
-    """Raises InputError where a rate falls over less than a step."""
-    if decay_steps is not None and decay_steps < 1:
-        raise InputError(f"decay-steps is {decay_steps}; give 1 or more, or none")
-
 
 def falling_rate(rate: float, decay_steps: int | None, updates_per_step: float) -> optax.ScalarOrSchedule:
     """A rate that falls linearly to a tenth, where it stays, or a constant one.

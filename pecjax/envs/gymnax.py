@@ -74,6 +74,11 @@ class GymnaxTask(Task):
         self._env = env
         self._success = success
         space, actions = env.observation_space(params), env.action_space(params)
+        if not hasattr(actions, "n") and (np.ptp(actions.low) or np.ptp(actions.high)):
+            raise InputError(
+                f"the bounds of actions are {actions.low} and {actions.high}; all numbers of an action must "
+                "have the same, wrap the environment so that they do"
+            )
         # Observations go to networks as they are: bounds of 10³⁸ say nothing about their scale.
         self.observation_space = Box(tuple(space.shape))
         self.action_space = (

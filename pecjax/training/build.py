@@ -18,10 +18,6 @@ from pecjax.training.contracts import check_contracts
 from pecjax.training.settings import RunSettings, check_settings
 
 Tree = TypeVar("Tree")
-REPLAY = (
-    "the transitions of the replay",
-    "take a smaller --agent.replay.capacity, or smaller images",
-)  # for `check_memory`
 
 
 class Run(NamedTuple):
@@ -45,12 +41,13 @@ class Run(NamedTuple):
         return num_configs(self.world.table)
 
 
-def build(settings: RunSettings, num_devices: int, *, trains: bool = True) -> Run:
+def build(settings: RunSettings, num_devices: int, *, trains: bool = True, prepares: bool = True) -> Run:
     """Puts task, sampler and agent together, spread over devices.
 
     Args:
-        trains: gets the world ready for it, and makes sure that memory can hold replay and observations;
-            a policy that is only flown needs none of that.
+        trains: makes sure that memory can hold replay and observations; a policy that is only flown needs
+            none of that.
+        prepares: gets the world ready for training (`TaskSettings.for_training`), which may take long.
 
     Raises:
         InputError: settings are out of range or do not fit one another, the world is wrong, or memory
@@ -59,21 +56,42 @@ def build(settings: RunSettings, num_devices: int, *, trains: bool = True) -> Ru
     check_settings(settings)
     task, world = settings.task.make()
     sampler = settings.sampler.make(num_configs(world.table))
-    if trains:
+    if trains and prepares:
         world = settings.task.for_training(world)
     check_contracts(settings, task, world, sampler)
     mesh = device_mesh(num_devices)
     agent = settings.agent.make(task, sampler, AXIS)
     if trains:
-        check_memory(agent.replay_bytes, num_devices, *REPLAY)
-        held = observation_bytes(task, settings.agent.observations_held)
-        fewer = "take fewer environments or steps"
-        check_memory(held, num_devices, "the observations of an iteration", f"{fewer}, or smaller images")
-        memories = settings.agent.memory_bytes
-        check_memory(memories, num_devices, "the memories of an iteration", f"{fewer}, or a smaller memory")
+        check_training_memory(settings, task, agent, num_devices)
     eval_set = settings.task.eval_set(world)
     world, eval_world = on_devices(world, eval_set, mesh)
     return Run(task, world, sampler, shard(agent, mesh), mesh, eval_set, eval_world)
+
+
+def check_training_memory(
+    settings: RunSettings, task: Task, agent: Agent, num_devices: int, runs: int = 1
+) -> None:
+    """Makes sure that memory can hold what so many runs at once need of it.
+
+    Raises:
+        InputError: it cannot.
+    """
+    about, fewer = settings.agent, "take fewer environments or steps"
+    for needed, what, advice in (
+        (
+            agent.replay_bytes,
+            "the transitions of the replay",
+            "take a smaller --agent.replay.capacity, or smaller images",
+        ),
+        (
+            observation_bytes(task, about.observations_held),
+            "the observations of an iteration",
+            f"{fewer}, or smaller images",
+        ),
+        (about.memory_bytes, "the memories of an iteration", f"{fewer}, or a smaller memory"),
+    ):
+        of_runs = f" of {runs} runs at once" if runs > 1 else ""
+        check_memory(needed * runs, num_devices, what + of_runs, advice)
 
 
 def on_devices(world: World, eval_set: EvalSet, mesh: Mesh) -> tuple[World, World]:

@@ -11,6 +11,7 @@ from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from pecjax.agents import AgentSettings
 from pecjax.curriculum import Outcomes, Sampler
@@ -69,6 +70,11 @@ def check_task(task: Task, world: World) -> None:
         InputError: the first thing that it does not.
     """
     name = address(type(task))
+    for part in ("observation_space", "action_space", "max_steps"):
+        if not hasattr(task, part):
+            raise InputError(f"{name}: has no {part}; set it (see pecjax.Task)")
+    if not (isinstance(task.max_steps, int | np.integer) and task.max_steps >= 1):
+        raise InputError(f"{name}: max_steps is {task.max_steps}; give a whole number of 1 or more")
     lengths = sorted({jnp.shape(leaf)[:1] for leaf in jax.tree.leaves(world.table)})
     if len(lengths) != 1 or not lengths[0]:
         raise InputError(f"{name}: the table's leaves have leading axes {lengths}; give all of them one, N")

@@ -49,6 +49,8 @@ def check_limits(settings: Any) -> None:
             raise InputError(f"{name.replace('_', '-')} is {str(value)[:30]}; {most}")
     for path, layers in settings_tree.leaves(settings.agent):
         name = path.rpartition(".")[2]
+        if name == "head" and not layers >= 1:
+            raise InputError(f"head is {layers} wide; give at least 1")
         if name not in ("hidden", "trunk") or not isinstance(layers, tuple):
             continue
         least = 1 if name == "hidden" else 0

@@ -15,7 +15,7 @@ from jax.sharding import PartitionSpec
 from pecjax.agents import AXIS, Metrics, TrainState, device_mesh
 from pecjax.envs.task import EvalSet, Task, World, num_configs
 from pecjax.runtime.devices import check_memory, choose_num_devices, compiler_options
-from pecjax.training.build import REPLAY, Run, abstract_state, observation_bytes, on_devices
+from pecjax.training.build import Run, abstract_state, check_training_memory, observation_bytes, on_devices
 from pecjax.training.contracts import check_contracts
 from pecjax.training.evaluation import make_episode_runner, make_evaluator, stratified_config_ids
 from pecjax.training.run_episodes import SIDE_BY_SIDE, EvalResult
@@ -152,14 +152,14 @@ def several_runs(settings: RunSettings, task: Task, world: World, runs: int) -> 
     number of runs: XLA may then round elsewhere.
 
     Raises:
-        InputError: settings that do not fit one another, or replays that memory cannot hold.
+        InputError: settings that do not fit one another, or more than memory can hold.
     """
     devices = choose_num_devices(None, runs)
     mesh = device_mesh(devices)
     sampler = settings.sampler.make(num_configs(world.table))
     check_contracts(settings, task, world, sampler)
     agent = settings.agent.make(task, sampler)
-    check_memory(agent.replay_bytes * runs, devices, *REPLAY)
+    check_training_memory(settings, task, agent, devices, runs)
     eval_set, about = settings.task.eval_set(world), settings.evaluation
     run = make_episode_runner(task, agent, greedy=about.greedy, seed=about.seed)
     world, eval_world = on_devices(world, eval_set, mesh)

@@ -94,9 +94,10 @@ def run_episodes(
         # Here alone, and not before the loop, too: images are most of the program.
         obs = observe(flights.key_obs, flights.state, world.params)
         now = jax.vmap(jax.random.fold_in)(keys, time)
-        # The action's draws are those of `now`; the task's are of keys of their own.
         of_task = jax.vmap(lambda key: jax.random.split(key, 2), out_axes=1)(now)
-        actions, memory = jax.vmap(act_once)(obs, now, flights.memory)
+        # Numbers that no key above is folded with: the policy's draws share none with the task's.
+        of_act = jax.vmap(jax.random.fold_in, (0, None))(now, limit + 1)
+        actions, memory = jax.vmap(act_once)(obs, of_act, flights.memory)
         after = jax.vmap(task.step, (0, 0, 0, None))(of_task[1], flights.state, actions, world.params)
         further, episodes = step_episodes(flights.running, after, task.metrics)
         state, running, success, metrics = reset_where(

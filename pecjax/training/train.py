@@ -53,7 +53,7 @@ def train(
             _check(sinks)
             num_devices = choose_num_devices(devices, settings.agent.device_divisor, settings.agent.divided)
             check_free(folder)
-            build(settings, num_devices)
+            build(settings, num_devices, prepares=False)
         with synchronized():
             directory.create(settings, num_devices)
         return _go(settings, directory, num_devices, sinks, is_resumed=False)

@@ -12,9 +12,9 @@ from pecjax.agents.apex import replay
 from pecjax.agents.apex.q_network import QNetwork, action_values
 from pecjax.agents.apex.replay import Packed, Replay, Rows
 from pecjax.agents.apex.settings import Apex
-from pecjax.agents.apex.update import Learner, count_on, double_value, make_optimizer, update
+from pecjax.agents.apex.update import Learner, double_value, make_optimizer, update
 from pecjax.agents.base import Agent, TrainState
-from pecjax.agents.episodes import Episodes, add_counts, no_counts
+from pecjax.agents.episodes import Episodes, add_counts, count_on, no_counts
 from pecjax.agents.metrics import Metrics, are_finite, summarize
 from pecjax.agents.observations import pack, unpack
 from pecjax.agents.returns import n_step_return, with_bootstrap

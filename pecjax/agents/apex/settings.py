@@ -3,15 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 from pecjax.agents.apex.q_network import QNetworkSettings
 from pecjax.agents.apex.replay import ReplaySettings
 from pecjax.agents.base import Agent, AgentSettings
-from pecjax.agents.rates import check_decay
 from pecjax.curriculum.base import Sampler
 from pecjax.envs.task import Task
 from pecjax.errors import InputError
+from pecjax.ranges import ANY, SHARE, SOME, check_ranges
+
+_RANGES = {
+    "epsilon": SHARE,
+    "epsilon_exponent": ANY,
+    "discount": SHARE,
+    "learning_starts": ANY,
+    "target_period": ANY,
+    "learning_rate": ANY,
+    "decay_steps": (1, math.inf),
+    "adam_eps": ANY,
+    "max_grad_norm": SOME,
+    "huber_delta": SOME,
+    "reward_scale": SOME,
+}
+_RANGES_OF_REPLAY = {"alpha": ANY, "beta": ANY, "epsilon": ANY}
 
 
 @dataclass(frozen=True)
@@ -97,13 +113,19 @@ class Apex(AgentSettings):
 
     def check(self) -> None:
         """Raises InputError where the numbers do not fit one another."""
-        check_decay(self.decay_steps)
+        check_ranges(self, _RANGES)
+        check_ranges(self.replay, _RANGES_OF_REPLAY)
         shards, steps = self.replay.num_shards, self.rollout_length * self.num_envs
         of_rollouts = min(self.num_envs, self.num_steps, self.num_actors, self.rollout_length)
         if min(of_rollouts, self.n_step, self.batch_size, shards) < 1:
             raise InputError(
                 "environments, steps, actors, rollout-length, n-step, batch-size and shards must each be 1 "
                 "or more"
+            )
+        if self.num_envs < self.num_actors:
+            raise InputError(
+                f"{self.num_actors} actors need an environment each and there are {self.num_envs}; change "
+                "either"
             )
         if self.num_envs % shards or self.batch_size % shards:
             raise InputError(

@@ -12,6 +12,7 @@ from pecjax.agents.apex import replay
 from pecjax.agents.apex.q_network import QNetwork, action_values
 from pecjax.agents.apex.replay import Replay
 from pecjax.agents.apex.settings import Apex
+from pecjax.agents.episodes import count_on
 from pecjax.agents.rates import falling_rate
 from pecjax.agents.sharding import device_mean, env_keys, global_ids
 
@@ -33,11 +34,6 @@ class Learner(NamedTuple):
     sampled: jax.Array
     updates: jax.Array
     copied: jax.Array
-
-
-def count_on(count: jax.Array, number: int) -> jax.Array:
-    """The count (int32) and so many more, or its type's greatest number where that is less."""
-    return jnp.minimum(count, jnp.iinfo(count.dtype).max - number) + number
 
 
 def make_optimizer(settings: Apex) -> optax.GradientTransformation:

@@ -22,7 +22,7 @@ def cut(settings: PPO, key: jax.Array, batch: Tree, axis_name: str | None) -> tu
     Args:
         axis_name: of the devices over which B is spread; each takes its own part of every minibatch.
     """
-    num_steps, num_envs = jax.tree.leaves(batch)[0].shape[:2]
+    num_rows, num_envs = jax.tree.leaves(batch)[0].shape[:2]
     if settings.has_memory:
         envs, order = shuffle_envs(settings, key, global_ids(num_envs, axis_name))
         return jax.tree.map(lambda leaf: _in_sequences(settings, leaf, envs), batch), order
@@ -30,8 +30,8 @@ def cut(settings: PPO, key: jax.Array, batch: Tree, axis_name: str | None) -> tu
         if axis_name is not None:
             batch = jax.lax.all_gather(batch, axis_name, axis=1, tiled=True)
         batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), batch)
-        num_steps = jax.tree.leaves(batch)[0].shape[0]
-    rows, order = shuffle(settings, key, num_steps)
+        num_rows = jax.tree.leaves(batch)[0].shape[0]
+    rows, order = shuffle(settings, key, num_rows)
     if settings.shuffle == "samples" and axis_name is not None:
         rows = _own_share(rows, axis_name)
     return jax.tree.map(lambda leaf: _in_rows(settings, leaf[rows]), batch), order

@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
 from pecjax.agents.base import Agent, AgentSettings
 from pecjax.agents.networks import NetworkSettings
-from pecjax.agents.rates import check_decay
 from pecjax.curriculum.base import Sampler
 from pecjax.envs.task import Task
 from pecjax.errors import InputError
+from pecjax.ranges import ANY, SHARE, SOME, check_ranges
 
 Signal = Literal[
     "positive_value_loss", "value_loss", "negative_value_loss", "maximised_negative_advantage", "value"
 ]
+_RANGES = {
+    "learning_rate": ANY,
+    "decay_steps": (1, math.inf),
+    "adam_eps": ANY,
+    "max_grad_norm": SOME,
+    "discount": SHARE,
+    "gae_lambda": SHARE,
+    "clip_epsilon": SOME,
+    "value_clip": SOME,
+    "value_coeff": ANY,
+    "kl_coeff": ANY,
+    "kl_target": ANY,
+    "reward_scale": SOME,
+}
 
 
 @dataclass(frozen=True)
@@ -120,12 +135,12 @@ class PPO(AgentSettings):
         return make(task, sampler, self, axis_name)
 
     def check(self) -> None:
-        """Raises InputError where the batch cannot be cut into the minibatches."""
+        """Raises InputError where a number is out of range, or minibatches cannot be cut from the batch."""
         if min(self.num_envs, self.num_steps, self.num_epochs, self.num_minibatches) < 1:
             raise InputError("environments, steps, epochs and minibatches must each be 1 or more")
+        check_ranges(self, _RANGES)
         if self.has_memory and self.shuffle == "samples":
             raise InputError("a network with a memory learns from sequences; leave shuffle at 'steps'")
-        check_decay(self.decay_steps)
         network = self.network
         if self.has_memory and min(self.steps_of_a_sequence, network.memory_size) < 1:
             raise InputError("sequence-length and memory-size must each be 1 or more")

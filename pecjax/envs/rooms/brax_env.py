@@ -23,10 +23,10 @@ class RoomsNavigation(Env):
     """`RoomsTask` in one scene under Brax's contract for a single environment: batch it with `jax.vmap`.
 
     The observation is that of `RoomsTask.sense`, in SI units. `pipeline_state` is a `RoomsState`, the part
-    that Brax's own automatic reset restores; `metrics` says which ending came about: `goal`,
-    `collision`, `timeout`, each 0 or 1, and `unstable` where physics blew up, a collision too. A step
-    keeps whatever else wrappers have put into `metrics` and `info`. With gusts or a camera that errs `info`
-    holds their `key`.
+    that Brax's own automatic reset restores. `metrics` says which ending came about: `goal`, `collision`,
+    `timeout`, each 0 or 1, and `unstable` where physics blew up, a collision too; `path_length` is that of
+    the step, in m. A step keeps whatever else wrappers have put into `metrics` and `info`. With gusts or a
+    camera that errs `info` holds their `key`.
 
     The environment never resets itself: draw a configuration and call `reset_to`. Under
     `brax.envs.training.wrap`, a reset repeats each environment's first configuration.
@@ -54,11 +54,12 @@ class RoomsNavigation(Env):
         """Starts an episode in `config`, one row of a table, with a uniform random heading if it has none."""
         config = jax.tree.map(jnp.asarray, fill(config))
         state = self.task.reset(rng, config, self.params)
-        key = jax.random.fold_in(rng, 2)  # the task's reset uses the key itself and 1
+        # The task's reset uses the key itself and 1.
+        key, of_sight = jax.random.fold_in(rng, 2), jax.random.fold_in(rng, 3)
         zero = jnp.zeros(())
         return State(
             pipeline_state=cast(Any, state),
-            obs=self.task.sense(key, state, self.params),
+            obs=self.task.sense(of_sight, state, self.params),
             reward=zero,
             done=zero,
             metrics=dict.fromkeys(("goal", *self.task.metrics), zero),

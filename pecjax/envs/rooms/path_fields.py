@@ -19,7 +19,7 @@ from pecjax.errors import InputError
 
 CELL = 0.2  # m
 AHEAD = 5  # cells of a path: where it leads to, seen from where the drone is
-MOST_CELLS = 2**29  # of all fields together, 1 GiB
+MOST_BYTES = 2**30  # of all fields together
 _UNIT = 0.25  # m, of the lengths
 _AT_ONCE = 256  # goals whose distances are held in full
 _TURN = 256  # of the bearings
@@ -69,18 +69,12 @@ def make_path_fields(
         radius, flight_height: m, of the drone.
 
     Raises:
-        InputError: maps of too many cells, or without a free one.
+        InputError: see `find_goals`.
     """
     lower, upper, bounds = map(np.asarray, (bank.lower, bank.upper, bank.bounds))
-    origin = bounds[:, 0].astype(np.float32)
-    shape = np.round((bounds[:, 1] - bounds[:, 0]).max(axis=0) / CELL).astype(int) + 1
-    goals = _goals_by_map(origin, tables)
+    origin, shape = _grids(bounds)
+    goals = find_goals(bounds, tables)
     most = max(map(len, goals))
-    if (cells := len(goals) * most * math.prod(shape)) > MOST_CELLS:
-        raise InputError(
-            f"the paths to {most:,} goals in each of {len(goals):,} maps take {2 * cells / 2**30:.0f} GiB, "
-            f"{2 * MOST_CELLS / 2**30:.0f} are the most; leave out critic-paths"
-        )
     field = np.zeros((len(goals), *shape), np.int16)
     bearing = np.zeros((len(goals), most, *shape), np.int8)
     length = np.full(bearing.shape, 255, np.uint8)
@@ -96,8 +90,16 @@ def make_path_fields(
     return PathFields(field, bearing, length, origin)
 
 
-def _goals_by_map(origin: np.ndarray, tables: Sequence[Configurations]) -> list[np.ndarray]:
-    """Of each map the goals and waypoints (K, 2) m, the first in each cell."""
+def find_goals(bounds: np.ndarray, tables: Sequence[Configurations]) -> list[np.ndarray]:
+    """Of each map the goals and waypoints (K, 2) m, the first in each cell.
+
+    Args:
+        bounds: (M, 2, 2) m, of the maps.
+
+    Raises:
+        InputError: the paths to all of them would take more than `MOST_BYTES`.
+    """
+    origin, shape = _grids(bounds)
     map_id, goal = [], []
     for table in tables:
         number = np.asarray(table.map_id)
@@ -110,10 +112,23 @@ def _goals_by_map(origin: np.ndarray, tables: Sequence[Configurations]) -> list[
     number, places = np.concatenate(map_id), np.concatenate(goal)
     order = np.argsort(number, kind="stable")
     by_map = np.split(places[order], np.searchsorted(number[order], np.arange(1, len(origin))))
-    return [
+    goals = [
         some[np.unique(_cells(some, at), axis=0, return_index=True)[1]]
         for some, at in zip(by_map, origin, strict=True)
     ]
+    most = max(map(len, goals))
+    if (taken := 2 * len(goals) * (most + 1) * math.prod(shape)) > MOST_BYTES:
+        raise InputError(
+            f"the paths to {most:,} goals in each of {len(goals):,} maps take {taken / 2**30:.0f} GiB, "
+            f"{MOST_BYTES / 2**30:.0f} is the most; leave out critic-paths"
+        )
+    return goals
+
+
+def _grids(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The origins (M, 2) m of the grids, and the shape (2,) that the largest has."""
+    shape = np.round((bounds[:, 1] - bounds[:, 0]).max(axis=0) / CELL).astype(int) + 1
+    return bounds[:, 0].astype(np.float32), shape
 
 
 def _cells(places: np.ndarray, origin: np.ndarray) -> np.ndarray:
@@ -136,24 +151,24 @@ def _field(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Bearings and lengths (K, X, Y) of one map, as `PathFields` has them.
 
+    Places too near to a wall have those of the nearest free cell. Where no path leads to the goal its
+    direction is straight; where there is no free cell at all it is 0.
+
     Args:
         goals: (K, 2) m.
-
-    Places too near to a wall have those of the nearest free cell. Where no path leads to the goal its
-    direction is straight.
     """
     from scipy.ndimage import distance_transform_edt
 
     reach = free_clearance(radius, CELL) + CELL
     grid = make_grid(lower, upper, bounds, flight_height=height, cell=CELL, reach=reach)
     paths = find_paths(grid, radius)
+    shape = (len(goals), *paths.number.shape)
     if not len(paths.places):
-        raise InputError("no cell of a map is free to fly in; leave out critic-paths")
+        return np.zeros(shape, np.int8), np.full(shape, 255, np.uint8)
     taken = paths.number < 0
     nearest = np.asarray(distance_transform_edt(taken, return_distances=False, return_indices=True))
     node = paths.number[tuple(nearest)]
-    bearing = np.empty((len(goals), *node.shape), np.int8)
-    length = np.empty(bearing.shape, np.uint8)
+    bearing, length = np.empty(shape, np.int8), np.empty(shape, np.uint8)
     for first in range(0, len(goals), _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         distances, onwards = search(paths, goals[some])

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from pecjax.envs.rooms.controller import ControllerGains
 from pecjax.errors import InputError
+from pecjax.ranges import ABOVE_0, ANY, SOME, check_ranges
 
 MAX_PHYSICS_STEPS = 1000  # in one control period
+_RANGES = {"goal_radius": SOME, "max_steps": (1, math.inf), "gust_time": SOME, "hold_time": SOME}
+_RANGES_OF_GAINS = dict.fromkeys(
+    ("height", "climb", "velocity", "attitude", "body_rate", "yaw_rate"), ANY
+) | {"max_tilt": (ABOVE_0, 1.5)}  # rad; at π/2 it could not hold its height
 
 
 @dataclass(frozen=True)
@@ -50,8 +56,8 @@ def physics_steps(settings: NavigationSettings, timestep: float) -> int:
     """How many physics steps of `timestep` s an action lasts; the other numbers are checked as well.
 
     Raises:
-        InputError: a control period that is no multiple of the physics step, negative drag, or gusts or
-            goals to be held of no duration.
+        InputError: a control period that is no multiple of the physics step, negative drag, or a number
+            out of its range.
     """
     ratio = settings.control_period / max(timestep, 1e-9)
     steps = round(ratio)
@@ -62,8 +68,6 @@ def physics_steps(settings: NavigationSettings, timestep: float) -> int:
         )
     if len(settings.drag) != 3 or min(settings.drag) < 0:
         raise InputError(f"drag is {settings.drag}; give three numbers that are not negative")
-    for name in ("gust_time", "hold_time"):
-        if not getattr(settings, name) > 0:
-            option = name.replace("_", "-")
-            raise InputError(f"{option} is {getattr(settings, name)}; give a time above 0")
+    check_ranges(settings, _RANGES)
+    check_ranges(settings.gains, _RANGES_OF_GAINS)
     return steps

@@ -18,7 +18,7 @@ from pecjax.envs.rooms.config import Configurations, load_coordinates
 from pecjax.envs.rooms.map_file import Map, map_of
 from pecjax.envs.rooms.maps import make_bank
 from pecjax.envs.rooms.notices import map_notices
-from pecjax.envs.rooms.path_fields import make_path_fields
+from pecjax.envs.rooms.path_fields import find_goals, make_path_fields
 from pecjax.envs.rooms.plans.plans import RADIUS
 from pecjax.envs.rooms.rules import NavigationSettings
 from pecjax.envs.rooms.scene import Scene, default_scene_path, load_scene
@@ -72,16 +72,16 @@ class Rooms(NavigationSettings, TaskSettings):
 
         Raises:
             InputError: a file that is not there or is wrong, maps whose drones differ, a timestep that
-                does not fit, or a configuration that cannot be flown.
+                does not fit, a configuration that cannot be flown, or too many paths for a critic.
         """
-        table, scenes = self.configurations(), self.scenes()
-        if self._space is not None and len(scenes) > 1:
+        table, scenes, space = self.configurations(), self.scenes(), self.named_space
+        if space is not None and len(scenes) > 1:
             raise InputError(
                 f"space '{self.space}' takes one map, whose drone is flown; give one with --scene, not "
                 f"{len(scenes)}"
             )
         maps = [scene.map for scene in scenes]
-        bank = None if self._space is None else self._space.maps
+        bank = None if space is None else space.maps
         task = self.task_kind(
             scenes[0].vehicle,
             self,
@@ -89,10 +89,11 @@ class Rooms(NavigationSettings, TaskSettings):
             one_map=len(maps if bank is None else bank.bounds) == 1,
             critic_paths=self.critic_paths,
         )
-        if self._space is None or (bank is None and self.maps):
-            source = self.table if self._space is None else None
+        if space is None or (bank is None and self.maps):
+            source = self.table if space is None else None
             try:
-                check_configurations(maps, table, task.vehicle.radius, self.flight_height, source)
+                for one in (table,) if space is None else (table, space.held_out.table):
+                    check_configurations(maps, one, task.vehicle.radius, self.flight_height, source)
             except InputError as error:
                 raise InputError(f"{error}{self._hint(maps)}") from None
         if bank is not None and task.vehicle.radius > RADIUS:
@@ -100,7 +101,10 @@ class Rooms(NavigationSettings, TaskSettings):
                 f"the drone has a radius of {task.vehicle.radius:g} m; the maps of space '{self.space}' are "
                 f"made for {RADIUS:g} m at most"
             )
-        return task, World(RoomsParams(make_bank(maps) if bank is None else bank), table)
+        bank = make_bank(maps) if bank is None else bank
+        if self.critic_paths:
+            find_goals(bank.bounds, [table])
+        return task, World(RoomsParams(bank), table)
 
     def for_training(self, world: World) -> World:
         """The world with the paths to its goals, where critics are told of them."""
@@ -128,8 +132,8 @@ class Rooms(NavigationSettings, TaskSettings):
         return self.table or (self.maps[0] if self.maps else "1")
 
     @functools.cached_property
-    def _space(self) -> Space | None:
-        """The space, whose configurations were checked where it was made."""
+    def named_space(self) -> Space | None:
+        """The space, whose configurations were checked where it was made; None where there is none."""
         if self.space is None:
             return None
         if self.table is not None:
@@ -141,18 +145,15 @@ class Rooms(NavigationSettings, TaskSettings):
             )
         return read_space(space_path(self.space))
 
-    def read_space(self) -> Space | None:
-        """The space, read once; None where there is none."""
-        return self._space
-
     def eval_set(self, world: World, split: str = "held-out") -> EvalSet:
         """All configurations of a table; of a space those that are held out, or those of its other part."""
-        space = self._space
+        space = self.named_space
         if space is None:
             return EvalSet(world.table)
         part, apart = space.part(split), len(space.groups) > 1
-        # Where the goal's radius begins the way is done.
-        shortest = np.maximum(part.shortest - self.goal_radius, 0)
+        # Where the goal's radius begins the way is done. In another map than the six rooms it is not known.
+        six_rooms = space.maps is not None or not self.maps or _same_walls(self.scenes()[0])
+        shortest = np.maximum(part.shortest - self.goal_radius, 0) if six_rooms else None
         table = self._of_own_kind(part.table)
         held_out = split == "held-out"
         return EvalSet(table, space.groups, part.group if apart else None, shortest, held_out)
@@ -163,7 +164,7 @@ class Rooms(NavigationSettings, TaskSettings):
 
     def scene(self, number: int) -> Scene:
         """One of the maps, with the drone."""
-        bank = None if self._space is None else self._space.maps
+        bank = None if self.named_space is None else self.named_space.maps
         if bank is None:
             return self.scenes()[number]
         return dataclasses.replace(self.scenes()[0], map=map_of(bank, number))
@@ -206,8 +207,8 @@ class Rooms(NavigationSettings, TaskSettings):
 
     def configurations(self) -> Configurations:
         """The table that is trained in."""
-        if self._space is not None:
-            return self._of_own_kind(self._space.train.table)
+        if self.named_space is not None:
+            return self._of_own_kind(self.named_space.train.table)
         if self.table is not None:
             return load_coordinates(self.table, self.configurations_kind)
         marked = _marked([scene.map for scene in self.scenes()]) if self.maps else None
@@ -233,6 +234,12 @@ class Rooms(NavigationSettings, TaskSettings):
             for line in scene.notices
         ]
         return (*told, *map_notices([scene.map for scene in self.scenes()], world.table, task.vehicle, self))
+
+
+def _same_walls(scene: Scene) -> bool:
+    """Whether its map is that of the six rooms."""
+    rooms = load_scene(default_scene_path())
+    return all(map(np.array_equal, make_bank([scene.map]), make_bank([rooms.map])))
 
 
 def _marked(maps: Sequence[Map]) -> Configurations | None:

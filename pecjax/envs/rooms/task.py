@@ -37,7 +37,7 @@ class RoomsParams(NamedTuple):
 
     Attributes:
         bank: the maps.
-        paths: to the goals, where a critic is told of them; None in evaluations.
+        paths: to the goals, where a critic is told of them; None unless `for_training` has added them.
     """
 
     bank: MapBank
@@ -97,8 +97,7 @@ class RoomsTask(Task):
             critic_paths: whether critics are told of the shortest path to the goal, too.
 
         Raises:
-            InputError: a control period that is no multiple of the physics step, negative drag, or gusts
-                or goals to be held of no duration.
+            InputError: see `physics_steps`.
         """
         self.physics_steps = physics_steps(settings, vehicle.timestep)
         self.hold_steps = math.ceil(settings.hold_time / settings.control_period - 1e-6)

@@ -54,7 +54,7 @@ def evaluated_rooms(
     world = trained_in if other is own else other.make()[1]
     if other.space is None:
         return world, EvalSet(world.table, shortest=_shortest(other, world))
-    before, found = own.read_space(), other.read_space()
+    before, found = own.named_space, other.named_space
     if before is not None and found is not None:
         _check_version(before, found)
     eval_set = other.eval_set(world, split or SPLITS[1])
