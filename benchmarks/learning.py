@@ -50,13 +50,14 @@ def learner(task: Task, mesh: Mesh, settings: PPO) -> tuple[Workload, Workload]:
         "goal": jax.random.normal(key, (*shape, *space["goal"].shape)),
     }
     features = encode(space, obs)
-    known = encode(task.privileged_space, jax.random.normal(key, (*shape, *task.privileged_space.shape)))
+    told = jax.tree.map(lambda box: jax.random.normal(key, (*shape, *box.shape)), task.privileged_space)
+    known = encode(task.privileged_space, told)
     seen = Seen(obs, known)
     known = critic_features(task, seen, settings.network.critic) if network.is_privileged else None
     params = network.init(key, features[0, :1], None if known is None else known[0, :1])
     optimizer = make_optimizer(settings)
     state = Learner(params, optimizer.init(params), jnp.float32(0))
-    logits, value, _ = jax.jit(lambda *f: forward(network, params, *f))(features, known)
+    logits, value, *_ = jax.jit(lambda *f: forward(network, params, *f))(features, known)
     action = jax.random.randint(key, shape, 0, distribution.num_params)
     reward = jax.random.normal(key, shape)
     done = jnp.float32(reward > 2)
@@ -70,7 +71,7 @@ def learner(task: Task, mesh: Mesh, settings: PPO) -> tuple[Workload, Workload]:
         def step(_, row):
             seen, noise = row
             known = critic_features(task, seen, settings.network.critic) if network.is_privileged else None
-            logits, value, _ = forward(network, params, encode(space, seen.obs), known)
+            logits, value, *_ = forward(network, params, encode(space, seen.obs), known)
             return None, (distribution.draw(logits, noise), value)
 
         return jax.lax.scan(step, None, (seen, noise))[1]

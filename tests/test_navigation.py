@@ -242,9 +242,9 @@ def test_what_a_critic_is_told_of_the_drone_by_hand(env):
     state = begin(env, (3, -2), (0, 0), np.pi / 2).pipeline_state
     qvel = jnp.float32([-1, 2, 0.5, 0, 0, 0.25])
     state = state._replace(qvel=qvel, qpos=state.qpos.at[2].set(1.3), step_count=500, hover_count=5)
-    found = env.task.privileged(state, env.params)
+    found = env.task.privileged(state, env.params)["drone"]
     np.testing.assert_allclose(found, [0.3, -0.2, 0, 1, 1, 0.5, 0.5, 0.25, 0.1, 0.5, 0.5], atol=1e-6)
-    assert env.task.privileged(state._replace(hover_count=900), env.params)[-1] == 2
+    assert env.task.privileged(state._replace(hover_count=900), env.params)["drone"][-1] == 2
 
 
 def test_reset_draws_every_row_and_every_heading_alike(env):

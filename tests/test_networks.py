@@ -204,10 +204,10 @@ def test_a_privileged_critic_reads_what_it_knows_and_the_actor_does_not(settings
     rows, others = (features(3, height=48, width=64, seed=seed) for seed in (0, 1))
     known = jnp.asarray(np.random.default_rng(2).normal(size=(3, 7)), jnp.float32)
     params = network.init(jax.random.key(0), rows[:1], known[:1])
-    logits, value, _ = forward(network, params, rows, known)
+    logits, value, *_ = forward(network, params, rows, known)
     assert logits.shape == (3, ACTIONS) and value.shape == (3,)
-    of_others, same_value, _ = forward(network, params, others, known)
-    same_logits, other_value, _ = forward(network, params, rows, -known)
+    of_others, same_value, *_ = forward(network, params, others, known)
+    same_logits, other_value, *_ = forward(network, params, rows, -known)
     np.testing.assert_array_equal(same_value, value)
     np.testing.assert_array_equal(same_logits, logits)
     assert np.abs(of_others - logits).min(axis=0).max() > 0 and np.abs(other_value - value).min() > 0
@@ -253,7 +253,7 @@ def test_several_images_of_any_depth_each_pass_convolutions_of_their_own():
     obs = some_of_many(3)
     rows = encode(MANY, obs)
     params = jax.jit(network.init)(jax.random.key(0), rows)
-    logits, value, _ = forward(network, params, rows)
+    logits, value, *_ = forward(network, params, rows)
     assert logits.shape == (3, ACTIONS) and value.shape == (3,)
     convolutions = params["params"]["actor_convolutions"]
     # Three layers of each image, the first over 4×4 pixels of its own channels.
@@ -264,7 +264,7 @@ def test_several_images_of_any_depth_each_pass_convolutions_of_their_own():
     for place in range(5):
         leaves, tree = jax.tree.flatten(obs)
         leaves[place] = leaves[place] + 0.5
-        other, _, _ = forward(network, params, encode(MANY, jax.tree.unflatten(tree, leaves)))
+        other, *_ = forward(network, params, encode(MANY, jax.tree.unflatten(tree, leaves)))
         assert np.abs(other - logits).max() > 1e-6
 
 

@@ -17,6 +17,7 @@ from pecjax.envs.rooms.geodesics import geodesic_lengths
 from pecjax.envs.rooms.maps import FAR_AWAY, MapBank
 from pecjax.envs.rooms.path_fields import CELL, make_path_fields, path_from
 from pecjax.envs.rooms.sensing import DISTANCE_SCALE
+from pecjax.envs.spaces import Box
 from pecjax.errors import InputError
 from pecjax.training.build import build
 from pecjax.training.contracts import check_task
@@ -150,14 +151,14 @@ def test_critics_are_told_and_policies_are_not(paper):
     check_task(task, world)
     plain, _ = Rooms(table="2").make()
     assert task.observation_space == plain.observation_space
-    assert task.privileged_space.shape == (plain.privileged_space.shape[0] + 3,)
+    assert task.privileged_space == plain.privileged_space | {"path": Box((3,))}
     state = task.reset(jax.random.key(0), jax.tree.map(lambda leaf: leaf[3], world.table), world.params)
     known = task.privileged(state, world.params)
-    np.testing.assert_array_equal(known[:-3], plain.privileged(state, world.params))
+    np.testing.assert_array_equal(known["drone"], plain.privileged(state, world.params)["drone"])
     length, turn = told(world.params.paths, 0, state.config.goal, state.qpos[:2])
     heading = 2 * np.arctan2(state.qpos[6], state.qpos[3])
-    np.testing.assert_allclose(known[-3] * DISTANCE_SCALE, length, rtol=1e-6)
-    assert turned(np.arctan2(known[-2], known[-1]) + heading - turn) < 1e-5
+    np.testing.assert_allclose(known["path"][0] * DISTANCE_SCALE, length, rtol=1e-6)
+    assert turned(np.arctan2(*known["path"][1:]) + heading - turn) < 1e-5
 
 
 def test_only_training_gets_the_paths_ready():
@@ -222,7 +223,7 @@ def test_guided_is_shown_what_critics_are_told():
     told_world = settings.for_training(told_world)
     state = task.reset(jax.random.key(1), jax.tree.map(lambda leaf: leaf[5], world.table), world.params)
     shown = guided.observe(jax.random.key(0), state, world.params)["way"]
-    np.testing.assert_array_equal(shown, task.privileged(state, told_world.params)[-3:])
+    np.testing.assert_array_equal(shown, task.privileged(state, told_world.params)["path"])
     check_task(guided, world)
     assert bounds.Guided(table="2", critic_paths=True).for_training(world) is world
 
@@ -238,6 +239,7 @@ def test_a_run_with_a_told_critic_is_evaluated_resumed_and_exported(tmp_path):
 
     run = str(tmp_path / "run")
     few = ("--agent.num-envs", "64", "--evaluation.every", "2", "--evaluation.episodes", "20")
+    few += ("--agent.auxiliary", "path")
     pecjax_does("train", "--task.critic-paths", *few, "--iterations", "2", "--out", run)
     pecjax_does("train", "--out", run, "--resume", *few, "--iterations", "4", "--task.critic-paths")
     assert "over 20 greedy episodes" in pecjax_does("eval", run, "--episodes", "20")

@@ -36,7 +36,7 @@ ROWS, ACTIONS = 64, 15
 OF_ACTIONS = categorical(ACTIONS)
 
 # Stands in for a network: its parameters are the logits and values themselves.
-IDENTITY = SimpleNamespace(apply=lambda params, *_: (*params, None))
+IDENTITY = SimpleNamespace(apply=lambda params, *_: (*params, None, None))
 
 
 def of_drawn(logits, drawn):

@@ -52,6 +52,28 @@ def test_what_did_not_arrive_is_last(monkeypatch, capsys, tmp_path):
     assert len(json.loads((tmp_path / "race.json").read_text())) == 6
 
 
+def test_the_page_has_the_medians_of_the_second_race():
+    docs = FILE.parents[1] / "docs"
+    runs = json.loads((docs / "results" / "race-told.json").read_text())
+    page = (docs / "performance.md").read_text()
+    for label, racer in (
+        ("pecjax, its defaults", "pecjax"),
+        ("pecjax, critic told of paths", "told"),
+        ("a loop like PureJaxRL's", "purejax"),
+    ):
+        cells = []
+        for space, threshold, number in (("1", "0.97", 10), ("2", "0.97", 3), ("rooms-pairs", "0.9", 3)):
+            there = [
+                one["reached"][threshold] for one in runs if (one["racer"], one["space"]) == (racer, space)
+            ]
+            assert len(there) == number
+            training, whole, steps = (
+                np.median([one[kind] for one in there]) for kind in ("training", "whole", "steps")
+            )
+            cells += [f"{training:.1f}", f"{whole:.1f}", f"{steps / 1e6:.2f} M"]
+        assert f"| {label} | {' | '.join(cells)} |" in page, label
+
+
 def test_the_page_has_the_medians():
     """Every row of the table of performance.md, from the stored runs."""
     docs = FILE.parents[1] / "docs"

@@ -68,11 +68,13 @@ class Output(NamedTuple):
         params: (…, P), of the action's distribution.
         value: (…,), None where the critic was not asked.
         memory: (B, H) after the last step, None of a network without one.
+        auxiliary: (…, A), what the actor predicts beside; None of one that predicts nothing.
     """
 
     params: jax.Array
     value: Any
     memory: Any
+    auxiliary: Any = None
 
 
 class ActorCritic(nn.Module):
@@ -82,12 +84,14 @@ class ActorCritic(nn.Module):
         num_outputs: P.
         image_shapes: (H, W) or (H, W, C) of the images that the features begin with.
         is_privileged: whether the critic has features of its own.
+        num_auxiliary: A, how many numbers the actor's last layer predicts beside.
     """
 
     settings: NetworkSettings
     num_outputs: int
     image_shapes: tuple[tuple[int, ...], ...]
     is_privileged: bool = False
+    num_auxiliary: int = 0
 
     @nn.compact
     def __call__(
@@ -102,7 +106,7 @@ class ActorCritic(nn.Module):
         """See `forward`, which is this with the parameters given.
 
         Args:
-            with_value: whether the critic is asked, too.
+            with_value: whether the critic is asked, too, and what the actor predicts.
         """
         settings = self.settings
         if settings.encoder == "mlp" and settings.memory is None and not self.is_privileged:
@@ -129,11 +133,15 @@ class ActorCritic(nn.Module):
             actor = jnp.concatenate([actor, seen], axis=-1)
             if critic is not None and known is None:
                 critic = jnp.concatenate([critic, seen], axis=-1)
-        params = self._others("actor", actor, self.num_outputs, 0.01)
+        actor = self._others("actor", actor)
+        params = self._output("actor_output", actor, self.num_outputs, 0.01)
         if critic is None or not with_value:
             return Output(params, None, memory)
         gain = 0.01 if settings.initializer == "normc" else 1.0
-        return Output(params, self._others("critic", critic, 1, gain)[..., 0], memory)
+        value = self._output("critic_output", self._others("critic", critic), 1, gain)[..., 0]
+        if not self.num_auxiliary:
+            return Output(params, value, memory)
+        return Output(params, value, memory, self._output("auxiliary", actor, self.num_auxiliary, 1.0))
 
     def _first(self, name: str, x: jax.Array, columns: jax.Array | None = None) -> jax.Array:
         if self.settings.encoder == "cnn" and not (name == "critic" and self.is_privileged):
@@ -141,10 +149,13 @@ class ActorCritic(nn.Module):
             x = Convolutions(self.image_shapes, _product(self.settings), name=f"{name}_convolutions")(x)
         return _dense(self.settings, self.settings.hidden[0], f"{name}_0", columns=columns)(x)
 
-    def _others(self, name: str, x: jax.Array, width: int, gain: float) -> jax.Array:
+    def _others(self, name: str, x: jax.Array) -> jax.Array:
         for layer, hidden in enumerate(self.settings.hidden[1:], 1):
             x = nn.tanh(_dense(self.settings, hidden, f"{name}_{layer}")(x))
-        return _dense(self.settings, width, f"{name}_output", _kernel_init(self.settings, gain))(x)
+        return x
+
+    def _output(self, name: str, x: jax.Array, width: int, gain: float) -> jax.Array:
+        return _dense(self.settings, width, name, _kernel_init(self.settings, gain))(x)
 
 
 def _kernel_init(settings: NetworkSettings, gain: float = np.sqrt(2)) -> Initializer:

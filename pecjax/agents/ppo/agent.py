@@ -13,7 +13,7 @@ from pecjax.agents.distributions import make_distribution
 from pecjax.agents.episodes import add_counts, no_counts, sum_over_episodes
 from pecjax.agents.metrics import Metrics, are_finite, summarize
 from pecjax.agents.networks import ActorCritic, decide, forward
-from pecjax.agents.observations import encode, flatten, image_shapes, in_order
+from pecjax.agents.observations import encode, flatten, image_shapes, in_order, num_values
 from pecjax.agents.ppo.settings import PPO
 from pecjax.agents.ppo.signals import step_signal
 from pecjax.agents.ppo.update import Flown, Learner, make_optimizer, prepare, update
@@ -35,9 +35,27 @@ def make_network(task: Task, settings: PPO) -> ActorCritic:
     if settings.network.encoder == "cnn" and not shapes:
         raise InputError("the encoder cnn needs an image among the observations; choose mlp")
     is_privileged = settings.network.critic != "observation" and task.privileged_space is not None
+    outputs, told = make_distribution(task.action_space).num_params, auxiliary_space(task, settings)
     return ActorCritic(
-        settings.network, make_distribution(task.action_space).num_params, shapes, is_privileged
+        settings.network, outputs, shapes, is_privileged, 0 if told is None else num_values(told)
     )
+
+
+def auxiliary_space(task: Task, settings: PPO) -> Any:
+    """Of what the actor predicts, see `PPO.auxiliary`; None where that is nothing.
+
+    Raises:
+        InputError: the task tells critics nothing of that name.
+    """
+    if settings.auxiliary is None:
+        return None
+    parts = task.privileged_space if isinstance(task.privileged_space, Mapping) else {}
+    if settings.auxiliary not in parts:
+        raise InputError(
+            f"auxiliary is {settings.auxiliary}, and this task tells critics of "
+            f"{' and '.join(parts) or 'nothing'}; give one of these, path wants --task.critic-paths"
+        )
+    return parts[settings.auxiliary]
 
 
 def critic_features(task: Task, seen: Seen, critic: str) -> jax.Array:
@@ -59,7 +77,7 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
     settings.check()
     space = task.observation_space
     distribution = make_distribution(task.action_space)
-    network = make_network(task, settings)
+    network, told = make_network(task, settings), auxiliary_space(task, settings)
     optimizer = make_optimizer(settings)
 
     first_memory = settings.network.first_memory()
@@ -68,6 +86,9 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
         """The actor's features, the critic's where it has its own, and the memory where there is one."""
         known = critic_features(task, seen, settings.network.critic) if network.is_privileged else None
         return encode(space, seen.obs), known, seen.memory
+
+    def to_predict(seen: Seen) -> jax.Array | None:
+        return None if told is None else encode(told, seen.privileged[settings.auxiliary])
 
     def init(key: jax.Array, world: World, numbers: Mapping[str, jax.Array] | None = None) -> TrainState:
         key, key_params, key_envs = jax.random.split(key, 3)
@@ -86,11 +107,12 @@ def make(task: Task, sampler: Sampler, settings: PPO, axis_name: str | None = No
 
         def act(seen: Seen, noise: jax.Array) -> tuple[jax.Array, jax.Array | None, tuple]:
             features, known, memory = read(seen)
-            params, value, after = forward(network, learner.params, features, known, memory=memory)
+            params, value, after, _ = forward(network, learner.params, features, known, memory=memory)
             drawn = distribution.draw(params, noise)
             if settings.network.precision == "bfloat16":
                 features = features.astype(jnp.bfloat16)  # as the products take them
-            return distribution.action(drawn), after, Flown(features, known, drawn, params, value)
+            flown = Flown(features, known, drawn, params, value, to_predict(seen))
+            return distribution.action(drawn), after, flown
 
         def value(seen: Seen) -> jax.Array:
             features, known, memory = read(seen)

@@ -29,6 +29,7 @@ _RANGES = {
     "kl_coeff": ANY,
     "kl_target": ANY,
     "reward_scale": SOME,
+    "auxiliary_coeff": ANY,
 }
 
 
@@ -57,6 +58,11 @@ class PPO(AgentSettings):
             episode's steps of the advantage where it is positive, of its absolute value, of how far it is
             negative, of how far it is negative with the best in between kept, or of the value.
         network: settings of actor and critic.
+        auxiliary: the part of what critics are told (by its name in `Task.privileged_space`) that the
+            actor's last layer is to predict, too, such as `path` in rooms with `critic_paths`. It is an
+            auxiliary task (Mirowski et al. 2017, "Learning to navigate in complex environments"), of
+            training alone; None for none.
+        auxiliary_coeff: weight of its squared error.
         sequence_length: steps of a sequence, at whose beginning the memory is taken as it was in flight;
             None for all `num_steps`.
     """
@@ -80,6 +86,8 @@ class PPO(AgentSettings):
     signal: Signal = "positive_value_loss"
     network: NetworkSettings = field(default_factory=NetworkSettings)
     sequence_length: int | None = None
+    auxiliary: str | None = None
+    auxiliary_coeff: float = 0.3
 
     @property
     def has_memory(self) -> bool:

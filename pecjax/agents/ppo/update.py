@@ -36,6 +36,7 @@ class Flown(NamedTuple):
     drawn: jax.Array
     params: jax.Array
     value: jax.Array
+    told: jax.Array | None = None
 
 
 class Batch(NamedTuple):
@@ -50,6 +51,7 @@ class Batch(NamedTuple):
         advantage: of the action.
         memory: before each sequence, (T / L, B, H); None of a network without one.
         starts: 1 where the step is an episode's first; None likewise.
+        told: (…, A), what the actor is to predict; None where that is nothing.
     """
 
     features: jax.Array
@@ -63,6 +65,7 @@ class Batch(NamedTuple):
     target: jax.Array
     memory: jax.Array | None = None
     starts: jax.Array | None = None
+    told: jax.Array | None = None
 
 
 def make_optimizer(settings: PPO) -> optax.GradientTransformation:
@@ -83,7 +86,7 @@ def prepare(
     axis_name: str | None,
 ) -> Batch:
     """Advantages, standardised over the whole batch, and value targets; leaves (T, B, …)."""
-    features, known, drawn, params, value = trajectory.extras  # Flown
+    features, known, drawn, params, value, told = trajectory.extras  # Flown
     advantage = generalized_advantage(
         scaled_reward(settings, trajectory),
         value,
@@ -101,7 +104,8 @@ def prepare(
     if memory is not None:
         done = trajectory.done
         starts = jnp.concatenate([jnp.zeros_like(done[:1]), done[:-1]])
-    return Batch(features, known, None, drawn, params, log_prob, value, advantage, target, memory, starts)
+    of_steps = (features, known, None, drawn, params, log_prob, value, advantage, target)
+    return Batch(*of_steps, memory, starts, told)
 
 
 def scaled_reward(settings: PPO, trajectory: Trajectory) -> jax.Array:
@@ -122,14 +126,14 @@ def loss(
 
     It is the mean over a minibatch of
 
-        −min(ρ A, clip(ρ, 1 ± ε) A) + k KL(old ‖ new) + c_v E_V − c_e H,
+        −min(ρ A, clip(ρ, 1 ± ε) A) + k KL(old ‖ new) + c_v E_V − c_e H (+ c_a E_A),
         E_V = max((V − R)², (V_old + clip(V − V_old, ± value_clip) − R)²)
 
     with no ½ before E_V. Where k is None, `kl` is an estimate that takes less time, the mean of
     ρ − 1 − log ρ, which has the same mean and is never negative (Schulman 2020, "Approximating KL
-    divergence").
+    divergence"). E_A is the squared error of an auxiliary task, if there is one.
     """
-    new, value, _ = forward(
+    new, value, _, predicted = forward(
         network, params, batch.features, batch.known, batch.columns, batch.memory, batch.starts
     )
     log_ratio = distribution.log_prob(new, batch.drawn) - batch.log_prob
@@ -150,6 +154,9 @@ def loss(
     if settings.kl_coeff is not None:
         total = total + kl_coeff * kl
     terms = {"policy_loss": -surrogate, "value_loss": value_loss, "kl": kl, "entropy": entropy}
+    if batch.told is not None:
+        terms["auxiliary_loss"] = jnp.square(predicted - batch.told).mean()
+        total = total + settings.auxiliary_coeff * terms["auxiliary_loss"]
     return total, terms
 
 

@@ -12,9 +12,9 @@ from pecjax.envs.spaces import Box
 SPEED_SCALE = 2.0  # m/s, the highest speed that is asked for
 
 
-def space(with_path: bool) -> Box:
-    """Of `drone_numbers`, and of the three of `path_fields.path_from` where critics are told of paths."""
-    return Box((14 if with_path else 11,))
+def space(with_path: bool) -> dict[str, Box]:
+    """Of `drone_numbers`, and of `path_fields.path_from` where critics are told of paths."""
+    return {"drone": Box((11,))} | ({"path": Box((3,))} if with_path else {})
 
 
 def drone_numbers(

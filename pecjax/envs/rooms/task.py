@@ -207,18 +207,18 @@ class RoomsTask(Task):
         seen |= {"depth": with_errors(self.vehicle.camera, state.config, key, seen["depth"])}
         return seen if state.progress is None else seen | {"objective": one_hot(state.config)}
 
-    def privileged(self, state: RoomsState, params: RoomsParams) -> jax.Array:
+    def privileged(self, state: RoomsState, params: RoomsParams) -> dict[str, jax.Array]:
         """See `privileged.drone_numbers`; then the path (see `path_from`) where critics are told of it."""
         settings = self.settings
         late, idle = state.step_count / settings.max_steps, state.hover_count / max(settings.hover_limit, 1)
         numbers = privileged.drone_numbers(state.qpos, state.qvel, settings.flight_height, late, idle)
         if not self.critic_paths:
-            return numbers
+            return {"drone": numbers}
         if params.paths is None:  # as in evaluations, which only ask for the shape; a training would stop
-            return jnp.concatenate([numbers, jnp.full(3, jnp.nan)])
+            return {"drone": numbers, "path": jnp.full(3, jnp.nan)}
         where = target(state.config, state.progress)
         path = path_from(params.paths, state.config.map_id, where, state.qpos[:2], heading(state.qpos[3:]))
-        return jnp.concatenate([numbers, path])
+        return {"drone": numbers, "path": path}
 
     def fitted(self, table: Configurations) -> Configurations:
         """The table, with objectives if they are seen.
