@@ -94,3 +94,9 @@ def load_scene(
         model.cam_resolution[:] = resolution
     walls = read_map(map_file, drone)
     return Scene(model, read_vehicle(map_file, drone, like, by_mjx), walls, map_file.text, map_file.notices)
+
+
+def has_six_rooms(scene: Scene) -> bool:
+    """Whether its walls are those of the paper's six rooms."""
+    own, rooms = scene.map, load_scene().map
+    return np.array_equal(own.lower, rooms.lower) and np.array_equal(own.upper, rooms.upper)

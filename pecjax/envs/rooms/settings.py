@@ -21,7 +21,7 @@ from pecjax.envs.rooms.notices import map_notices
 from pecjax.envs.rooms.path_fields import find_goals, make_path_fields
 from pecjax.envs.rooms.plans.plans import RADIUS
 from pecjax.envs.rooms.rules import NavigationSettings
-from pecjax.envs.rooms.scene import Scene, default_scene_path, load_scene
+from pecjax.envs.rooms.scene import Scene, default_scene_path, has_six_rooms, load_scene
 from pecjax.envs.rooms.spaces.space import Space
 from pecjax.envs.rooms.spaces.space_file import read_space, space_path
 from pecjax.envs.rooms.task import RoomsParams, RoomsTask
@@ -152,7 +152,7 @@ class Rooms(NavigationSettings, TaskSettings):
             return EvalSet(world.table)
         part, apart = space.part(split), len(space.groups) > 1
         # Where the goal's radius begins the way is done. In another map than the six rooms it is not known.
-        six_rooms = space.maps is not None or not self.maps or _same_walls(self.scenes()[0])
+        six_rooms = space.maps is not None or not self.maps or has_six_rooms(self.scenes()[0])
         shortest = np.maximum(part.shortest - self.goal_radius, 0) if six_rooms else None
         table = self._of_own_kind(part.table)
         held_out = split == "held-out"
@@ -234,12 +234,6 @@ class Rooms(NavigationSettings, TaskSettings):
             for line in scene.notices
         ]
         return (*told, *map_notices([scene.map for scene in self.scenes()], world.table, task.vehicle, self))
-
-
-def _same_walls(scene: Scene) -> bool:
-    """Whether its map is that of the six rooms."""
-    rooms = load_scene(default_scene_path())
-    return all(map(np.array_equal, make_bank([scene.map]), make_bank([rooms.map])))
 
 
 def _marked(maps: Sequence[Map]) -> Configurations | None:
