@@ -28,6 +28,7 @@ from pecjax.studies.grid import RunSpec, StudySettings, fixed
 from pecjax.studies.run import run_study
 from pecjax.training import train as training
 from pecjax.training.evaluation import stratified_config_ids
+from pecjax.training.build import observation_bytes
 from pecjax.training.program import several_runs
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.settings import StopSettings, override
@@ -598,15 +599,17 @@ def test_a_study_killed_while_its_folder_is_made_begins_again(study, settings, t
     assert digests(place) == digests(study)
 
 
-def test_a_study_knows_what_its_replays_take(monkeypatch):
+def test_a_study_knows_what_its_runs_take(monkeypatch):
     apex = find_study("fig14", "smoke").run
     task, world = apex.task.make()
     asked = []
-    monkeypatch.setattr("pecjax.training.program.check_memory", lambda needed, *_: asked.append(needed))
+    monkeypatch.setattr("pecjax.training.build.check_memory", lambda needed, *_: asked.append(needed))
     for runs in (1, 4):
         several_runs(apex, task, world, runs)
     agent = apex.agent.make(task, pec(20))
-    assert asked == [agent.replay_bytes, 4 * agent.replay_bytes] and agent.replay_bytes > 1024 * 192
+    seen = observation_bytes(task, apex.agent.observations_held)
+    assert asked == [runs * needed for runs in (1, 4) for needed in (agent.replay_bytes, seen, 0)]
+    assert agent.replay_bytes > 1024 * 192 and seen > 0
 
 
 def test_the_folder_of_a_run_is_no_place_for_a_study(settings, tmp_path):

@@ -122,15 +122,15 @@ class Apex(AgentSettings):
                 "environments, steps, actors, rollout-length, n-step, batch-size and shards must each be 1 "
                 "or more"
             )
-        if self.num_envs < self.num_actors:
-            raise InputError(
-                f"{self.num_actors} actors need an environment each and there are {self.num_envs}; change "
-                "either"
-            )
         if self.num_envs % shards or self.batch_size % shards:
             raise InputError(
                 f"{shards} shards do not divide {self.num_envs} environments and a batch of "
                 f"{self.batch_size}; change either"
+            )
+        if self.num_envs < self.num_actors:
+            raise InputError(
+                f"{self.num_actors} actors need an environment each and there are {self.num_envs}; change "
+                "either"
             )
         if self.num_steps % self.rollout_length or self.replay.capacity % steps:
             raise InputError(
