@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
 SPEC = importlib.util.spec_from_file_location("memory_pictures", DOCS / "memory_pictures.py")
@@ -12,22 +13,25 @@ pictures = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(pictures)
 
 
-def test_every_run_is_a_curve():
-    table = pd.read_csv(pictures.TABLE)
-    runs = [run for _, run in table.groupby(["network", "seed"])]
-    by_steps, by_minutes = pictures.curves(table).axes
+@pytest.mark.parametrize("space", pictures.NETWORKS)
+def test_every_run_of_what_is_drawn_is_a_curve(space):
+    table, looks = pd.read_csv(pictures.stored(space)), pictures.LOOKS[space]
+    runs = [run for (network, _), run in table.groupby(["network", "seed"]) if network in looks]
+    assert {run.network.iloc[0] for run in runs} == set(looks)
+    by_steps, by_minutes = pictures.curves(space, table).axes
     for axes, column, unit in ((by_steps, "env_steps", 1e6), (by_minutes, "seconds", 60)):
         drawn = sorted(tuple(line.get_xydata().ravel().round(9)) for line in axes.lines)
         wanted = [np.stack([run[column] / unit, run.goal_ratio], axis=1) for run in runs]
         assert drawn == sorted(tuple(points.ravel().round(9)) for points in wanted)
 
 
-def test_the_page_has_the_ends_of_the_table():
+@pytest.mark.parametrize("space", pictures.NETWORKS)
+def test_the_page_has_the_ends_of_the_table(space):
     page = (DOCS / "memory.md").read_text()
-    assert "images/results/memory-floorplans.png" in page
-    for network, ratios in pictures.ends(pd.read_csv(pictures.TABLE)).items():
+    assert f"images/results/memory-{space}.png" in page
+    for network, ratios in pictures.ends(space, pd.read_csv(pictures.stored(space))).items():
         figures = ["" if np.isnan(ratio) else f"{ratio:.3f}" for ratio in ratios]
-        row = " | ".join([pictures.NETWORKS[network][0], *figures])
+        row = " | ".join([pictures.NETWORKS[space][network][0], *figures])
         assert f"| {row} |".replace("  ", " ") in page
 
 
@@ -48,7 +52,7 @@ def test_runs_are_collected_with_their_seconds(tmp_path):
     found = pictures.collect(tmp_path)
     assert found.network.tolist() == ["mingru"] * 2 and found.seed.tolist() == [7, 7]
     assert found.seconds.tolist() == [2.5, 7.5] and found.goal_ratio.tolist() == [0.25, 0.75]
-    assert pictures.ends(found).loc[7, "mingru"] == 0.5
+    assert pictures.ends("floorplans", found).loc[7, "mingru"] == 0.5
 
 
 def test_a_run_takes_the_place_of_its_former_self():
@@ -58,7 +62,7 @@ def test_a_run_takes_the_place_of_its_former_self():
         columns=columns,
     )
     new = pd.DataFrame([["mlp", 1, 1, 0.5], ["mingru", 0, 1, 0.6]], columns=columns)
-    found = pictures.joined(table, new)
+    found = pictures.joined("floorplans", table, new)
     assert found.values.tolist() == [
         ["mlp", 0, 1, 0.1], ["mlp", 1, 1, 0.5], ["mingru", 0, 1, 0.6], ["mingru", 1, 1, 0.4]
     ]  # fmt: skip

@@ -27,8 +27,8 @@ from pecjax.studies.directory import StudyDirectory
 from pecjax.studies.grid import RunSpec, StudySettings, fixed
 from pecjax.studies.run import run_study
 from pecjax.training import train as training
-from pecjax.training.evaluation import stratified_config_ids
 from pecjax.training.build import observation_bytes
+from pecjax.training.evaluation import stratified_config_ids
 from pecjax.training.program import several_runs
 from pecjax.training.run_directory import RunDirectory
 from pecjax.training.settings import StopSettings, override
