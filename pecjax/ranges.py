@@ -9,10 +9,10 @@ from typing import Any
 
 from pecjax.errors import InputError
 
-ABOVE_0 = sys.float_info.min
 Range = tuple[float, float]
-ANY = (0.0, math.inf)  # that is not negative
-SOME = (ABOVE_0, math.inf)
+ABOVE_0 = sys.float_info.min
+POSITIVE = (ABOVE_0, math.inf)
+NOT_NEGATIVE = (0.0, math.inf)
 SHARE = (0.0, 1.0)
 
 
@@ -25,8 +25,10 @@ def check_ranges(settings: Any, ranges: Mapping[str, Range]) -> None:
     for name, (least, most) in ranges.items():
         value = getattr(settings, name)
         if value is not None and not least <= value <= most:
-            low = "more than 0" if least == ABOVE_0 else f"{least:g}"
-            wanted = (
-                f"{low} to {most:g}" if most < math.inf else low if least == ABOVE_0 else f"{low} or more"
-            )
-            raise InputError(f"{name.replace('_', '-')} is {value:g}; give {wanted}")
+            raise InputError(f"{name.replace('_', '-')} is {value:g}; give {_in_words(least, most)}")
+
+
+def _in_words(least: float, most: float) -> str:
+    if least == ABOVE_0:
+        return "more than 0" if most == math.inf else f"more than 0, at most {most:g}"
+    return f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"

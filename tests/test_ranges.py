@@ -54,7 +54,7 @@ def test_each_agent_has_some_of_its_own(agent, words):
     [
         ({"max_steps": 0}, "max-steps is 0; give 1 or more"),
         ({"goal_radius": -1.0}, "goal-radius is -1; give more than 0"),
-        ({"gains": ControllerGains(max_tilt=45.0)}, "max-tilt is 45; give more than 0 to 1.5"),
+        ({"gains": ControllerGains(max_tilt=45.0)}, "max-tilt is 45; give more than 0, at most 1.5"),
         ({"gains": ControllerGains(velocity=-3.0)}, "velocity is -3; give 0 or more"),
     ],
 )

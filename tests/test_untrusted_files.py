@@ -249,7 +249,7 @@ def test_a_control_period_of_a_hundred_million_steps(edited_rooms):
         ("apex.replay.beta", -1.0, "beta is -1; give 0 or more"),
         ("task.max_steps", 0, "max-steps is 0; give 1 or more"),
         ("task.goal_radius", 0.0, "goal-radius is 0; give more than 0"),
-        ("task.gains.max_tilt", 100.0, "max-tilt is 100; give more than 0 to 1.5"),
+        ("task.gains.max_tilt", 100.0, "max-tilt is 100; give more than 0, at most 1.5"),
         ("apex.replay.capacity", 2**40, "capacity is 1099511627776"),
         ("apex.batch_size", 2**40, "batch-size is 1099511627776"),
         ("apex.target_period", 2**31, "target-period is 2147483648"),

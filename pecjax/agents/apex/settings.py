@@ -12,22 +12,22 @@ from pecjax.agents.base import Agent, AgentSettings
 from pecjax.curriculum.base import Sampler
 from pecjax.envs.task import Task
 from pecjax.errors import InputError
-from pecjax.ranges import ANY, SHARE, SOME, check_ranges
+from pecjax.ranges import NOT_NEGATIVE, POSITIVE, SHARE, check_ranges
 
 _RANGES = {
     "epsilon": SHARE,
-    "epsilon_exponent": ANY,
+    "epsilon_exponent": NOT_NEGATIVE,
     "discount": SHARE,
-    "learning_starts": ANY,
-    "target_period": ANY,
-    "learning_rate": ANY,
+    "learning_starts": NOT_NEGATIVE,
+    "target_period": NOT_NEGATIVE,
+    "learning_rate": NOT_NEGATIVE,
     "decay_steps": (1, math.inf),
-    "adam_eps": ANY,
-    "max_grad_norm": SOME,
-    "huber_delta": SOME,
-    "reward_scale": SOME,
+    "adam_eps": NOT_NEGATIVE,
+    "max_grad_norm": POSITIVE,
+    "huber_delta": POSITIVE,
+    "reward_scale": POSITIVE,
 }
-_RANGES_OF_REPLAY = {"alpha": ANY, "beta": ANY, "epsilon": ANY}
+_RANGES_OF_REPLAY = {"alpha": NOT_NEGATIVE, "beta": NOT_NEGATIVE, "epsilon": NOT_NEGATIVE}
 
 
 @dataclass(frozen=True)

@@ -11,25 +11,25 @@ from pecjax.agents.networks import NetworkSettings
 from pecjax.curriculum.base import Sampler
 from pecjax.envs.task import Task
 from pecjax.errors import InputError
-from pecjax.ranges import ANY, SHARE, SOME, check_ranges
+from pecjax.ranges import NOT_NEGATIVE, POSITIVE, SHARE, check_ranges
 
 Signal = Literal[
     "positive_value_loss", "value_loss", "negative_value_loss", "maximised_negative_advantage", "value"
 ]
 _RANGES = {
-    "learning_rate": ANY,
+    "learning_rate": NOT_NEGATIVE,
     "decay_steps": (1, math.inf),
-    "adam_eps": ANY,
-    "max_grad_norm": SOME,
+    "adam_eps": NOT_NEGATIVE,
+    "max_grad_norm": POSITIVE,
     "discount": SHARE,
     "gae_lambda": SHARE,
-    "clip_epsilon": SOME,
-    "value_clip": SOME,
-    "value_coeff": ANY,
-    "kl_coeff": ANY,
-    "kl_target": ANY,
-    "reward_scale": SOME,
-    "auxiliary_coeff": ANY,
+    "clip_epsilon": POSITIVE,
+    "value_clip": POSITIVE,
+    "value_coeff": NOT_NEGATIVE,
+    "kl_coeff": NOT_NEGATIVE,
+    "kl_target": NOT_NEGATIVE,
+    "reward_scale": POSITIVE,
+    "auxiliary_coeff": NOT_NEGATIVE,
 }
 
 

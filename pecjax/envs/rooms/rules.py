@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 from pecjax.envs.rooms.controller import ControllerGains
 from pecjax.errors import InputError
-from pecjax.ranges import ABOVE_0, ANY, SOME, check_ranges
+from pecjax.ranges import ABOVE_0, NOT_NEGATIVE, POSITIVE, check_ranges
 
 MAX_PHYSICS_STEPS = 1000  # in one control period
-_RANGES = {"goal_radius": SOME, "max_steps": (1, math.inf), "gust_time": SOME, "hold_time": SOME}
+_RANGES = {"goal_radius": POSITIVE, "max_steps": (1, math.inf), "gust_time": POSITIVE, "hold_time": POSITIVE}
 _RANGES_OF_GAINS = dict.fromkeys(
-    ("height", "climb", "velocity", "attitude", "body_rate", "yaw_rate"), ANY
+    ("height", "climb", "velocity", "attitude", "body_rate", "yaw_rate"), NOT_NEGATIVE
 ) | {"max_tilt": (ABOVE_0, 1.5)}  # rad; at π/2 it could not hold its height
 
 
