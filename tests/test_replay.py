@@ -212,6 +212,7 @@ def test_what_is_drawn_is_what_was_flown_and_never_two_episodes_mixed(
 ):
     settings = Apex(
         num_envs=num_envs,
+        num_actors=num_envs,
         num_steps=rollout_length,
         rollout_length=rollout_length,
         n_step=n_step,
