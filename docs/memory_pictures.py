@@ -33,6 +33,7 @@ NETWORKS = {
         "mingru-far": ("minGRU, falling rate, discount 0.998, sequences of 128", 900),
         "mlp-paths": ("no memory, falling rate, critic told of paths", 900),
         "mingru-paths": ("minGRU, falling rate, critic told of paths", 900),
+        "mingru-predicts": ("minGRU, falling rate, told of paths, predicts them", 900),
         "above": ("shown the map", 540),
         "guided": ("shown the way", 540),
     },
@@ -52,6 +53,7 @@ PAIRS = (
     ("mlp-paths", "mingru-paths"),
     ("mlp-falling", "mlp-paths"),
     ("mingru-falling", "mingru-paths"),
+    ("mingru-falling", "mingru-predicts"),
 )
 # Of those that are drawn; the others are in the page's table.
 LOOKS = {
@@ -61,6 +63,7 @@ LOOKS = {
         "stack-falling": (TEAL, ":"),
         "mlp-paths": (RED, "--"),
         "mingru-paths": (BLUE, "--"),
+        "mingru-predicts": (BLUE, ":"),
         "above": (YELLOW, "-"),
         "guided": (TEAL, "-"),
     },
