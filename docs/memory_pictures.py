@@ -33,6 +33,7 @@ NETWORKS = {
         "mingru-far": ("minGRU, falling rate, discount 0.998, sequences of 128", 900),
         "mlp-paths": ("no memory, falling rate, critic told of paths", 900),
         "mingru-paths": ("minGRU, falling rate, critic told of paths", 900),
+        "mlp-predicts": ("no memory, falling rate, told of paths, predicts them", 900),
         "mingru-predicts": ("minGRU, falling rate, told of paths, predicts them", 900),
         "above": ("shown the map", 540),
         "guided": ("shown the way", 540),
@@ -54,6 +55,8 @@ PAIRS = (
     ("mlp-falling", "mlp-paths"),
     ("mingru-falling", "mingru-paths"),
     ("mingru-falling", "mingru-predicts"),
+    ("mlp-falling", "mingru-predicts"),
+    ("mlp-predicts", "mingru-predicts"),
 )
 # Of those that are drawn; the others are in the page's table.
 LOOKS = {
@@ -63,6 +66,7 @@ LOOKS = {
         "stack-falling": (TEAL, ":"),
         "mlp-paths": (RED, "--"),
         "mingru-paths": (BLUE, "--"),
+        "mlp-predicts": (RED, ":"),
         "mingru-predicts": (BLUE, ":"),
         "above": (YELLOW, "-"),
         "guided": (TEAL, "-"),
