@@ -1,6 +1,7 @@
 """The auxiliary task of PPO's actor: its loss by hand, what it teaches a memory, and who needs none of it."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +34,7 @@ SETTINGS = PPO(
 class Told(Recall):
     """`Recall`, whose critics are told the signal, -1 or 1, and how late it is."""
 
-    privileged_space = {"late": Box((1,)), "sign": Box((1,))}  # noqa: RUF012 - as a task's author writes it
+    privileged_space: ClassVar = {"late": Box((1,)), "sign": Box((1,))}
 
     def privileged(self, state, params):
         late = state.steps / self.max_steps
